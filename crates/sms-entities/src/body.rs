@@ -19,7 +19,7 @@ fn kind(draft: &Draft) -> EntityKind {
 pub(crate) fn sphere_entity(draft: &Draft, fit: &SphereFit) -> Entity {
     let mut center_w = fit.center;
     if draft.rest.carrier != Carrier::Unseen {
-        // Closes a gap or an overlap with the carrier that is within the accuracy of the scan.
+        // Closes a gap or an overlap between the sphere and its carrier that is within the accuracy of the scan.
         let gap = draft.rest.plane.height(center_w) - fit.radius;
         if gap.abs() < 0.003 {
             center_w -= draft.rest.plane.normal * gap;
@@ -48,7 +48,7 @@ pub(crate) fn sphere_entity(draft: &Draft, fit: &SphereFit) -> Entity {
     }
 }
 
-/// Builds an object of any other shape; `None`, with a warning that names it, where no solid can be made.
+/// Builds an object of any other shape. Returns `None`, with a warning that names the object, if no solid can be made.
 pub(crate) fn mesh_entity(
     draft: &Draft,
     views: &Views,

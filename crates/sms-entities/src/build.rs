@@ -1,4 +1,4 @@
-//! The stage: from a Gaussian model with its frames and labels to entities.
+//! The entities stage: builds entities from a Gaussian model, its frames and its labels.
 
 use crate::body;
 use crate::cloud::{self, SurfaceDisc};
@@ -30,12 +30,7 @@ use sms_mesh::{
 };
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Turns labelled Gaussians into bodies: one dynamic entity per label that was seen, and a static environment of all
-/// surface without a label (paper, Section "Materialize").
-///
-/// # Errors
-/// When labels and frames do not belong together, when a depth is invalid, and on interruption. Objects that cannot
-/// be built are left out with a warning.
+/// s surface without a label => unlabelled surface
 pub fn build_entities(
     model: &GaussianModel,
     sequence: &Sequence,
@@ -60,7 +55,7 @@ pub fn build_entities(
     }
     let support_height = support::support_height(&around);
     let scene = SceneInputs { views: &views, around: &around, support_height, config };
-    // Objects are independent here; warnings are sorted when they are written.
+    // Objects are built in parallel; warnings are sorted when they are written.
     let done = AtomicU64::new(0);
     let drafts: Vec<Option<Draft>> = labels
         .objects
@@ -82,7 +77,6 @@ pub fn build_entities(
     }
     return_sides(&mut drafts);
     return_undersides(&mut drafts);
-    // From here on joined pieces have one label.
     let mut own_labels;
     let views = if joined.is_empty() {
         views
@@ -171,7 +165,7 @@ fn check_inputs(sequence: &Sequence, labels: &Labels) -> Result<(), EntitiesErro
     Ok(())
 }
 
-/// Least number of discs that describe a shape.
+/// Smallest number of discs that describe a shape.
 const FEW_DISCS: usize = 40;
 
 fn draft(
@@ -218,7 +212,7 @@ fn draft(
         .into_iter()
         .map(|i| cloud.points_w[i])
         .collect();
-    // Discs reach centimetres beyond the seen surface, into a board below the foot: the object does not end there.
+    // Discs can reach centimetres beyond the seen surface, below the foot. Such points are not part of the object.
     let outside: Vec<DVec3> = sparse.iter().copied().filter(|&p| !views.is_inside(p, info.id)).collect();
     let sparse = if 2 * outside.len() < sparse.len() { sparse } else { outside };
     let rest = support::find_rest(&sparse, info.id, around, support_height, seed);
@@ -238,9 +232,9 @@ fn draft(
     Some(Draft { info: info.clone(), cloud, below, spacing, rest, sphere, fixed: false })
 }
 
-/// Joins pieces that a mask lost to their object: an object that touches another but could not stay in place alone (a
-/// head on a statue, a nose on a bear). Stacked objects stay apart. For masks from geometry only: masks of people and
-/// networks are trusted. Returns the labels of each piece and its host.
+/// Joins pieces that a mask separated from their object: pieces that touch another object but could not stay in place
+/// alone (a head on a statue, a nose on a bear). Stacked objects stay apart. Used only for masks from geometry: masks
+/// from people and networks are trusted. Returns the labels of each piece and its host.
 fn join_pieces(
     drafts: &mut Vec<Draft>,
     scene: SceneInputs<'_>,
@@ -286,14 +280,14 @@ fn join_pieces(
             piece.info.name, host.info.name
         );
         warnings.add(STAGE, "pieces_joined", message, "correct the masks if they are two things");
-        // The host may stand now, or have grown to touch another: start over.
+        // The host may be stable now, or touch another object: start over.
         i = 0;
     }
     joined
 }
 
-/// Fixes objects without support: each is part of something larger that was not seen whole (a shelf, a cable, a card
-/// stuck to a wall) and becomes a static collider.
+/// Turns objects without support into static colliders. Such an object is part of something larger that was not seen
+/// whole (a shelf, a cable, a card stuck to a wall).
 fn fix_floating(drafts: &mut [Draft], around: &Surroundings, warnings: &Warnings) {
     for i in 0..drafts.len() {
         if can_stay(i, drafts, around) {
@@ -308,15 +302,16 @@ fn fix_floating(drafts: &mut [Draft], around: &Surroundings, warnings: &Warnings
     }
 }
 
-/// Whether an object would stay in place: it stands on the floor or the environment, it lies flat on another object
-/// with its middle over the contact, or it is a ball in that object's hollow.
+/// Returns whether an object would stay in place: it stands on the floor or the environment, it lies flat on another
+/// object with its centre above the contact, or it is a ball in a hollow of that object.
 fn can_stay(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
     let draft = &drafts[i];
     let plane = &draft.rest.plane;
     let points = &draft.cloud.points_w;
     let heights: Vec<f64> = points.iter().map(|&p| plane.height(p)).collect();
     let seen = quantile(heights.clone(), 0.02);
-    // The foot itself is often hidden: a ball's lowest point follows from the fit, other shapes get a tenth.
+    // The foot itself is often hidden. The lowest point of a ball follows from the fit; other shapes get a tolerance of
+    // a tenth.
     let lowest = draft.sphere.map_or(seen, |fit| plane.height(fit.center) - fit.radius);
     let slack = (0.1 * (quantile(heights, 0.98) - seen)).max(0.015);
     match draft.rest.carrier {
@@ -331,15 +326,15 @@ fn can_stay(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
     }
 }
 
-/// Whether a ball lies in a hollow of its carrier, or on a level part that reaches out on all sides: the carrier's
-/// surface is seen round its foot in every direction and nowhere falls away below it, as it does under a head on a
-/// statue.
+/// Returns whether a ball lies in a hollow of its carrier, or on a level part that extends on all sides. The carrier's
+/// surface is seen around the ball's foot in every direction and nowhere falls away below it (as it does below the head
+/// of a statue).
 fn is_cradled(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
     let (Some(fit), Carrier::Object(label)) = (drafts[i].sphere, drafts[i].rest.carrier) else {
         return false;
     };
     let Some(carrier) = drafts.iter().find(|d| d.info.id == label) else { return false };
-    // Noise of the surface, and of the fit's lowest point.
+    // Noise of the surface and of the fit's lowest point.
     let give = (0.1 * fit.radius).max(0.003);
     if sunk(&fit, around, &drafts[i].rest) > give {
         return false;
@@ -356,13 +351,13 @@ fn is_cradled(i: usize, drafts: &[Draft], around: &Surroundings) -> bool {
     highest.iter().all(|&z| z > -fit.radius - give)
 }
 
-/// Removes points of the carrying plane, and below it: labels bleed onto the surface around an object's foot. The band
-/// is no wider than the plane's scatter, because the floor of a thin dish lies just over it. Returns the points below.
+/// Removes points on and below the carrying plane, where labels bleed around an object's foot. The band is not wider
+/// than the plane's scatter, because the floor of a thin dish lies just above the plane. Returns the points below.
 fn drop_carrier_points(cloud: &mut PointCloud, rest: &RestingPlane) -> PointCloud {
     const BELOW_M: f64 = -0.003;
     let heights: Vec<f64> = cloud.points_w.iter().map(|&p| rest.plane.height(p)).collect();
     let top = heights.iter().copied().fold(0.0, f64::max);
-    // A thin object's top may be this near to the plane itself.
+    // The top of a thin object may also be this close to the plane.
     let band = (0.15 * top).min((4.0 * rest.noise_m).clamp(0.0008, 0.003));
     let is_own = |(h, n): (&f64, &DVec3)| *h > BELOW_M && !(*h < band && n.dot(rest.plane.normal) > 0.8);
     let keep: Vec<bool> = heights.iter().zip(&cloud.normals_w).map(is_own).collect();

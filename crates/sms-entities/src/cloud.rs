@@ -29,7 +29,7 @@ pub(crate) fn coarse_spacing(config: &EntitiesConfig) -> f64 {
     1.0 / config.density_per_m2.max(100.0).sqrt()
 }
 
-/// Distance between neighbouring points that spends the point budget on the surface that the discs cover.
+/// Returns the distance between neighbouring points that spends the point budget on the surface covered by the discs.
 pub(crate) fn spacing(discs: &[SurfaceDisc], config: &EntitiesConfig) -> f64 {
     let coarse = coarse_spacing(config);
     let points: Vec<DVec3> = discs.iter().map(|d| d.center).collect();
@@ -39,8 +39,8 @@ pub(crate) fn spacing(discs: &[SurfaceDisc], config: &EntitiesConfig) -> f64 {
     (area / config.point_budget.max(1) as f64).sqrt().clamp(config.min_spacing.min(coarse), coarse)
 }
 
-/// Returns the discs of the Gaussians whose own affinity is classified as `label`, oriented and checked against the
-/// frames: discs that cameras look through, or label otherwise where they see them, are dropped.
+/// Returns the discs of the Gaussians that are classified as `label`, oriented and checked against the frames. Drops
+/// discs that cameras see through, or that cameras label otherwise.
 pub(crate) fn label_discs(
     model: &GaussianModel,
     views: &Views,
@@ -83,10 +83,10 @@ pub(crate) fn label_discs(
     discs
 }
 
-/// Returns the Gaussians of an entity: those of its label at its surface, in the world. They picture the object on
-/// their own, and move with its body.
+/// Returns the Gaussians of an entity in the world frame: those with its label near its surface. They render the object
+/// alone and move with its body.
 pub fn object_gaussians(model: &GaussianModel, entity: &Entity, config: &EntitiesConfig) -> GaussianModel {
-    /// Gaussians farther outside of the object's box are not its own, metres.
+    /// Gaussians farther outside the object's box are dropped, metres.
     const MARGIN_M: f64 = 0.005;
     let Some(bounds) = entity.mesh.aabb() else { return GaussianModel::default() };
     let (low, high) = (bounds.min - MARGIN_M, bounds.max + MARGIN_M);
@@ -102,7 +102,7 @@ pub fn object_gaussians(model: &GaussianModel, entity: &Entity, config: &Entitie
     model.subset(&indices)
 }
 
-/// Discs straight from the labelled depth pixels, for objects that the model hardly holds.
+/// Makes discs from the labelled depth pixels, for objects with few Gaussians in the model.
 pub(crate) fn pixel_discs(views: &Views, label: u16, spacing: f64) -> Vec<SurfaceDisc> {
     let mut discs: Vec<SurfaceDisc> = Vec::new();
     for (f, frame) in views.sequence.frames.iter().enumerate() {
@@ -132,7 +132,7 @@ pub(crate) fn pixel_discs(views: &Views, label: u16, spacing: f64) -> Vec<Surfac
     keep.into_iter().map(|i| discs[i]).collect()
 }
 
-/// Shrinks discs that are far larger than their object's usual ones: their rims are not on the surface.
+/// Shrinks discs that are far larger than the object's median disc: their rims are not on the surface.
 fn limit_size(discs: &mut [SurfaceDisc]) {
     let typical = median(discs.iter().map(|d| d.axes[0].length().max(d.axes[1].length())).collect());
     let limit = (3.0 * typical).min(0.025);
@@ -143,8 +143,8 @@ fn limit_size(discs: &mut [SurfaceDisc]) {
     }
 }
 
-/// Drops islands: discs connected within a few times their usual distance form components; those with less than a tenth
-/// of the largest one's discs are dropped.
+/// Drops islands. Discs within a few times their usual distance form components; components with less than a tenth of
+/// the discs of the largest one are dropped.
 pub(crate) fn drop_islands(discs: Vec<SurfaceDisc>, spacing: f64) -> Vec<SurfaceDisc> {
     let centers: Vec<DVec3> = discs.iter().map(|d| d.center).collect();
     if centers.len() < 3 {
@@ -184,11 +184,11 @@ pub(crate) fn drop_islands(discs: Vec<SurfaceDisc>, spacing: f64) -> Vec<Surface
     discs
 }
 
-/// Normals are smoothed over at least this, metres: the noise of depth reaches over a few pixels.
+/// Smallest radius for smoothing normals, metres: depth noise is correlated over a few pixels.
 const NORMAL_RADIUS_M: f64 = 0.005;
 
-/// Uniform surface points: each disc is sampled uniformly by area, samples that the frames contradict are dropped, and
-/// the rest is thinned to the wanted density, moved onto the measured depth and given smoothed normals.
+/// Samples uniform surface points. Each disc is sampled uniformly by area, and samples that contradict the frames are
+/// dropped. The rest are thinned to the wanted density, moved onto the measured depth and given smoothed normals.
 pub(crate) fn densify(
     discs: &[SurfaceDisc],
     views: &Views,
@@ -210,7 +210,7 @@ pub(crate) fn densify(
         let disc = &discs[i];
         let area =
             std::f64::consts::PI * config.disc_sigmas.powi(2) * disc.axes[0].length() * disc.axes[1].length();
-        // Thinning follows, so a surplus only makes the result more even.
+        // A surplus is thinned out later and makes the result more even.
         let wanted = 2.0 * area / (spacing * spacing) + rng.random::<f64>();
         for _ in 0..(wanted as usize).min(400) {
             // The square root makes the samples uniform by area instead of by radius.

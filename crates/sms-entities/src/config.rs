@@ -29,9 +29,9 @@ pub struct EntitiesConfig {
     pub min_opacity: f64,
     /// Least surface points per square metre (released code: 25 000, 6.3 mm apart).
     pub density_per_m2: f64,
-    /// Small objects are sampled more finely, so that each has about this number of surface points …
+    /// Number of surface points for a small object, which is sampled more finely.
     pub point_budget: usize,
-    /// … but not closer than this, metres: finer than the scan resolves, points only repeat its noise.
+    /// Smallest point distance of small objects, metres. Finer points only repeat the noise of the scan.
     pub min_spacing: f64,
     /// Discs are sampled out to this number of standard deviations.
     pub disc_sigmas: f64,
@@ -41,7 +41,7 @@ pub struct EntitiesConfig {
     pub prune_factor: f64,
     /// Neighbours whose mean distance is the local feature size (released code: 10).
     pub prune_neighbors: usize,
-    /// A given largest edge instead of the adaptive one.
+    /// Fixed largest edge, in place of the adaptive one.
     pub prune_length: Option<f64>,
     /// Rounds of Taubin smoothing.
     pub smoothing_iterations: usize,
@@ -53,10 +53,10 @@ pub struct EntitiesConfig {
     pub primitive: PrimitiveConfig,
     /// Convex parts.
     pub convex: ConvexConfig,
-    /// Folder where decompositions are kept, so that the same mesh is decomposed once; not a setting of the result.
+    /// Folder that caches convex decompositions. It does not change the result.
     #[serde(skip)]
     pub parts_cache: Option<PathBuf>,
-    /// Pictures on meshes.
+    /// Textures on meshes.
     pub texture: TextureConfig,
     /// The static environment.
     pub environment: EnvironmentConfig,
@@ -141,19 +141,19 @@ impl EntitiesConfig {
     }
 }
 
-/// Pictures on meshes, baked from the frames.
+/// Textures on meshes, baked from the frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TextureConfig {
-    /// Whether meshes get pictures; without, they have vertex colours only.
+    /// Whether meshes get textures. If not, they have only vertex colours.
     pub enabled: bool,
-    /// Size of a texel on the surface, metres; more where the picture would not fit into `max_side`.
+    /// Size of a texel on the surface, metres; larger if the texture would exceed `max_side`.
     pub texel_m: f64,
-    /// Longest side of a picture, pixels.
+    /// Longest side of a texture, pixels.
     pub max_side: usize,
-    /// Views that a texel is the mean of (at most 8).
+    /// Number of views averaged for a texel (at most 8).
     pub views: usize,
-    /// Long side at which recorded colour images are read for this, pixels.
+    /// Long side at which recorded colour images are read for textures, pixels.
     pub image_side: usize,
 }
 
@@ -163,19 +163,19 @@ impl Default for TextureConfig {
     }
 }
 
-/// Reconstruction of all surface without a label.
+/// Reconstruction of all unlabelled surface.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnvironmentConfig {
-    /// Whether it is built.
+    /// Whether the environment is built.
     pub enabled: bool,
     /// Voxel of the distance field, metres.
     pub voxel: f64,
-    /// Surface farther from every object than this is left out, metres.
+    /// Surface farther than this from every object is left out, metres.
     pub reach: f64,
     /// Largest number of faces.
     pub face_budget: usize,
-    /// Surface nearer to the support plane than this is the plane itself, metres.
+    /// Surface closer than this to the support plane is part of the plane, metres.
     pub floor_band: f64,
 }
 

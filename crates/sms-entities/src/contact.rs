@@ -1,30 +1,31 @@
-//! Contact repair between objects: overlapping collision shapes would burst apart in the first step of a simulation.
+//! Contact repair between objects. Overlapping collision shapes would push each other apart in the first simulation
+//! step.
 
 use crate::piece::{are_apart, bounds, cut, is_exact, is_thick, overlap, piece_count, translate};
 use crate::standing::{LevelFace, bottom_outline, can_carry, reaches_beside};
 use glamx::DVec3;
 use sms_core::{Entity, EntityKind, Mesh};
 
-/// Overlap that remains after cutting and costs a piece, metres.
+/// If this much overlap remains after cutting, a piece is dropped, metres.
 const GIVE_UP: f64 = 0.001;
 
-/// Pieces overlap at the face on which one object stands on the other if their normal leans less than this from the
-/// vertical (cosine) and the middle of their overlap is this near to the face's height, metres.
+/// Two pieces overlap at a contact face if their normal is close to vertical (least cosine) and the middle of their
+/// overlap is close to the height of the face (largest distance, metres).
 const ALONG: f64 = 0.8;
 const AT_FACE_M: f64 = 0.02;
 
-/// Two objects that overlapped, by their indices, and the depth (metres).
+/// Two overlapping objects, by index, and the depth of the overlap (metres).
 pub(crate) struct ObjectOverlap {
     pub(crate) first: usize,
     pub(crate) second: usize,
     pub(crate) depth: f64,
-    /// Remaining depth: exact solids that overlap by more than a scan error are not moved.
+    /// Remaining depth. Exact solids that overlap by more than a scan error are not moved.
     pub(crate) left: f64,
 }
 
-/// Cuts the convex parts of dynamic objects along a plane between them wherever they overlap, so that contact faces
-/// meet without overlap and without gap. An exact solid keeps its shape and the other side gives way. Where one stands
-/// on the other with a level face, that face is the plane. Returns overlaps deeper than `report` metres.
+/// Cuts the convex parts of dynamic objects along a plane between them wherever they overlap. Contact faces then meet
+/// without overlap and without a gap. An exact solid keeps its shape, and the other side is cut. Where one object
+/// stands on the other with a level face, the cut is at that face. Returns overlaps deeper than `report` metres.
 pub(crate) fn part_objects(
     entities: &mut [Entity],
     faces: &[LevelFace],
@@ -44,7 +45,7 @@ pub(crate) fn part_objects(
     found
 }
 
-/// The height at which one of two objects stands on the other, and whether that is the second one.
+/// Returns the height at which one of two objects stands on the other, and whether the second one stands on the first.
 fn level_between(
     entities: &[Entity],
     faces: &[LevelFace],
@@ -82,7 +83,7 @@ fn part_pair(
     let mut deepest = 0.0f64;
     for i in 0..piece_count(a) {
         for j in 0..piece_count(b) {
-            // Each cut lessens the overlap along one direction; a few suffice for convex pieces.
+            // Each cut reduces the overlap along one direction; a few suffice for convex pieces.
             for _ in 0..4 {
                 let Some((normal, on_a, on_b)) = overlap(a, i, b, j) else { break };
                 let depth = (on_a - on_b).dot(normal);
@@ -121,7 +122,7 @@ fn part_pair(
     }
     for entity in [a, b] {
         entity.parts.retain(|p| !p.triangles.is_empty());
-        // Drops slivers thinner than engines accept, unless the object has nothing else.
+        // Drops slivers that are too thin for engines, unless the object has no other parts.
         if entity.parts.iter().any(is_thick) {
             entity.parts.retain(is_thick);
         }
@@ -129,8 +130,8 @@ fn part_pair(
     deepest
 }
 
-/// Cuts two pieces, unless exact, along a plane (normal and offset) between them. Returns whether enough is left of
-/// both.
+/// Cuts two pieces along a plane (normal and offset) between them; exact solids are not cut. Returns whether enough is
+/// left of both.
 fn cut_both(
     (a, i): (&mut Entity, usize),
     (b, j): (&mut Entity, usize),
@@ -142,8 +143,8 @@ fn cut_both(
     cut_a && cut_b
 }
 
-/// [`cut_both`] that changes nothing where too little would be left of one: after a level cut of the other alone, it
-/// would be sliced again.
+/// Like [`cut_both`], but changes nothing if too little of one piece would be left. A level cut of only one piece would
+/// lead to another cut of the same piece.
 fn cut_both_or_neither(
     (a, i): (&mut Entity, usize),
     (b, j): (&mut Entity, usize),
@@ -161,10 +162,10 @@ fn cut_both_or_neither(
     is_cut
 }
 
-/// Largest distance that an exact solid is moved to part it from another, metres.
+/// Largest distance by which an exact solid is moved out of another, metres.
 const LARGEST_MOVE: f64 = 0.005;
 
-/// Moves the smaller of two movable exact solids until they touch; both stay where that is too far.
+/// Moves the smaller of two movable exact solids until they touch. Both stay in place if the distance is too large.
 fn move_apart(a: &mut Entity, b: &mut Entity, b_from_a: DVec3) {
     if b_from_a.length() > LARGEST_MOVE {
         return;
@@ -178,7 +179,7 @@ fn move_apart(a: &mut Entity, b: &mut Entity, b_from_a: DVec3) {
     }
 }
 
-/// Deepest overlap of two objects, metres.
+/// Returns the deepest overlap of two objects, metres.
 fn left_overlap(a: &Entity, b: &Entity) -> f64 {
     let pairs = (0..piece_count(a)).flat_map(|i| (0..piece_count(b)).map(move |j| (i, j)));
     let depths = pairs.filter_map(|(i, j)| overlap(a, i, b, j)).map(|(n, p, q)| (p - q).dot(n));
@@ -249,7 +250,7 @@ mod tests {
         let EntityShape::Sphere { center_w, .. } = pair[0].shape else { panic!() };
         assert!((center_w.x + 0.003).abs() < 1e-6, "the smaller one gives way: {center_w}");
         assert!((pair[0].mesh.aabb().unwrap().center() - center_w).length() < 1e-9);
-        // An overlap of centimetres is not a scan error: it is reported.
+        // An overlap of centimetres is reported: it is larger than a scan error.
         translate(&mut pair[0], DVec3::X * 0.02);
         let found = part_objects(&mut pair, &[], 64, 0.001);
         assert!((found[0].left - 0.02).abs() < 1e-4, "{}", found[0].left);
@@ -257,7 +258,7 @@ mod tests {
 
     #[test]
     fn what_reaches_up_beside_a_level_face_is_parted_where_it_is_deepest() {
-        // A block whose carrier rises beside it, 3 cm above the face, by a slope that begins in the block.
+        // Beside the block, its carrier rises 3 cm above the face. The slope begins inside the block.
         let block = entity(DVec3::new(0.0, 0.0, 0.15), 0.05, None);
         let mut carrier = entity(DVec3::new(0.05, 0.0, 0.05), 0.05, None);
         for v in &mut carrier.parts[0].vertices {
@@ -276,7 +277,7 @@ mod tests {
         part_objects(&mut pair, &faces, 64, 1e-4);
         let top = pair[1].parts[0].aabb().unwrap().max.z;
         assert!(top > 0.115 && top < 0.13, "{top}");
-        // A lid of 4 mm that bulges 15 mm over the face: a level cut would leave too little of it.
+        // A lid of 4 mm that bulges 15 mm above the face: a level cut would leave too little.
         let mut lid = entity(DVec3::ZERO, 0.05, None);
         lid.parts[0].vertices.iter_mut().for_each(|v| v.z = if v.z > 0.0 { 0.115 } else { 0.097 });
         let mut pair = [block, lid];

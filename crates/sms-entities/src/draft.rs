@@ -13,13 +13,13 @@ pub(crate) const STAGE: &str = "materialize";
 pub(crate) struct Draft {
     pub(crate) info: LabelInfo,
     pub(crate) cloud: PointCloud,
-    /// Points with its label below the face that it stands on.
+    /// Points with the object's label below its supporting face.
     pub(crate) below: PointCloud,
     /// Distance between neighbouring points of the cloud, metres.
     pub(crate) spacing: f64,
     pub(crate) rest: RestingPlane,
     pub(crate) sphere: Option<SphereFit>,
-    /// Whether it is static: an object that only seems to float would fall in a simulation.
+    /// Whether the object is static: it only seems to float, and would fall in a simulation.
     pub(crate) fixed: bool,
 }
 

@@ -1,4 +1,4 @@
-//! The static environment: all surface without a label.
+//! The static environment: all unlabelled surface.
 
 use crate::config::EntitiesConfig;
 use crate::support::{Carrier, RestingPlane, Surroundings};
@@ -11,24 +11,24 @@ use sms_mesh::{
     simplify, taubin,
 };
 
-/// Environment surface this near to an object's own surface is the object, bled over its mask's edge, metres.
+/// Environment surface closer than this to an object belongs to the object (its mask ends too early), metres.
 const CLEARANCE: f64 = 0.008;
 /// Connected surface smaller than this is noise, m².
 const MIN_AREA: f64 = 4e-4;
-/// Vertices of the hulls that decide whether a point is inside an object.
+/// Vertex limit of the hulls for tests whether a point is inside an object.
 const HULL_VERTICES: usize = 64;
-/// Surface that ends this high over the floor hangs in the air, metres.
+/// Surface whose lower end is higher than this above the floor counts as floating, metres.
 const HANGS: f64 = 0.03;
-/// Distance from an object's hull to a rim that its mask lost, metres.
+/// Largest distance between an object's hull and a rim that is missing from its mask, metres.
 const LOST_RIM: f64 = 0.025;
-/// Share of a piece of surface that is inside an object when all of it is, but for noise.
+/// A piece of surface counts as inside an object if this share of it is; the rest is noise.
 const INSIDE: f64 = 0.95;
-/// Errors of decimation that are tried in turn until the face budget is met, metres.
+/// Decimation errors, tried in this order until the face budget is met, metres.
 const DECIMATION_ERRORS: [f64; 3] = [0.002, 0.004, 0.008];
 
-/// Builds the static environment near the objects as an open mesh that faces free space, without the support plane (a
-/// half space replaces it), and with flat patches under the objects that rest on it, where no camera could see. `rests`
-/// holds the support of each object by its label. `None` where only the support plane was seen.
+/// Builds the static environment near the objects as an open mesh that faces free space. The mesh leaves out the
+/// support plane (a half space replaces it) and has flat patches under the objects that rest on it, where no camera
+/// could see. `rests` holds the support of each object by its label. Returns `None` if only the support plane was seen.
 pub(crate) fn environment_entity(
     views: &Views,
     around: &Surroundings,
@@ -127,9 +127,9 @@ pub(crate) fn environment_entity(
     })
 }
 
-/// Whether a piece of surface hangs in the air within an object's hull, or beside it no farther than a rim. It belongs
-/// to the object although its mask lacks it (the rim of a bin under a board, of which cameras see a strip). A fixed
-/// obstacle there would burst the object.
+/// Returns whether a piece of surface floats inside an object's hull, or within the width of a rim beside it. Such a
+/// piece belongs to the object although its mask lacks it (for example the rim of a bin under a board). As a fixed
+/// obstacle it would push the object away.
 fn hangs_inside(part: &Mesh, hull: &Mesh, floor: f64) -> bool {
     let planes: Vec<(DVec3, f64)> = (0..hull.triangles.len())
         .map(|t| {
@@ -150,7 +150,7 @@ fn append(mesh: &mut Mesh, part: &Mesh) {
     mesh.triangles.extend(part.triangles.iter().map(|t| t.map(|v| v + offset)));
 }
 
-/// Taubin smoothing that leaves the rim of an open mesh where it is.
+/// Taubin smoothing that does not move the boundary of an open mesh.
 fn smooth_open(mesh: &mut Mesh, limit: f64) {
     let mut edges: std::collections::BTreeMap<(u32, u32), i32> = Default::default();
     for &[a, b, c] in &mesh.triangles {
@@ -168,7 +168,7 @@ fn smooth_open(mesh: &mut Mesh, limit: f64) {
     taubin(mesh, &rim, 6, limit);
 }
 
-/// The unlabelled surroundings that the mesh represents.
+/// Returns the unlabelled surface points near the mesh.
 fn background_cloud(around: &Surroundings, mesh: &Mesh, reach: f64) -> PointCloud {
     let mut on_mesh: Vec<DVec3> = mesh.vertices.clone();
     on_mesh.extend((0..mesh.triangles.len()).map(|t| mesh.corners(t).iter().sum::<DVec3>() / 3.0));
@@ -198,9 +198,9 @@ mod tests {
         let strip = DVec3::new(0.15, 0.15, 0.01);
         let hangs = |center: DVec3, floor: f64| hangs_inside(&at(center, strip), &hull, floor);
         assert!(hangs(DVec3::new(0.0, 0.0, 0.49), 0.0));
-        // On the ground, as objects under a ladder are.
+        // On the ground, for example below a ladder.
         assert!(!hangs(DVec3::new(0.0, 0.0, 0.02), 0.0));
-        // A shelf's lip beside it.
+        // The edge of a shelf beside it.
         assert!(!hangs(DVec3::new(0.25, 0.0, 0.49), 0.0));
     }
 }

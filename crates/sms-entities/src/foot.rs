@@ -1,18 +1,18 @@
-//! The corners that an object stands on survive the vertex limit of its convex parts.
+//! Keeps the outermost corners of an object's foot when convex parts reach their vertex limit.
 
 use glamx::DVec3;
 use sms_core::Mesh;
 use sms_mesh::{Plane, convex_hull};
 
-/// Vertices this near to the lowest belong to the foot, metres.
+/// Vertices within this distance of the lowest one belong to the foot, metres.
 const FOOT_M: f64 = 3e-4;
-/// Vertices of parts this near to the foot's level are put onto it, metres.
+/// Vertices of parts within this distance of the foot's level are moved onto it, metres.
 const LEVEL_M: f64 = 1e-4;
-/// Directions in which the foot's outermost corner is kept.
+/// Number of directions in which the outermost corner of the foot is kept.
 const DIRECTIONS: usize = 16;
 
-/// Makes the part nearest to each outermost corner of the foot contain it. A hull that stops at its vertex limit spends
-/// its vertices where the surface bulges most; on a flat foot that leaves a sliver, and the object tips over it.
+/// Adds each outermost corner of the foot to the part nearest to it. A hull with a vertex limit spends its vertices
+/// where the surface bulges most. On a flat foot only a sliver would remain, and the object would tip over.
 pub(crate) fn keep_foot(parts: &mut [Mesh], mesh: &Mesh, plane: &Plane, max_vertices: usize) {
     let height = |p: DVec3| plane.height(p);
     let lowest = mesh.vertices.iter().map(|&p| height(p)).fold(f64::INFINITY, f64::min);
@@ -35,7 +35,7 @@ pub(crate) fn keep_foot(parts: &mut [Mesh], mesh: &Mesh, plane: &Plane, max_vert
             wanted[part].push(corner);
         }
     }
-    // Hulls that make up for the volume their vertices cut off may reach below the foot, and would be pushed out.
+    // Hulls that were enlarged to keep their volume may reach below the foot; the engine would push them out.
     for part in parts.iter_mut() {
         if part.vertices.iter().any(|&p| (height(p) - lowest).abs() < LEVEL_M || height(p) < lowest) {
             let level = |p: DVec3| {
@@ -61,7 +61,7 @@ pub(crate) fn keep_foot(parts: &mut [Mesh], mesh: &Mesh, plane: &Plane, max_vert
     }
 }
 
-/// How far a point lies outside of a convex part: its largest distance in front of a face, metres.
+/// Returns the distance of a point outside a convex part: its largest distance in front of a face, metres.
 fn outside(part: &Mesh, p: DVec3) -> f64 {
     (0..part.triangles.len())
         .map(|t| {
@@ -77,7 +77,7 @@ mod tests {
 
     #[test]
     fn the_corners_of_a_flat_foot_survive_the_vertex_limit() {
-        // A dome on a flat: nearly all of a small hull's vertices would go to the dome.
+        // A dome on a flat base: nearly all vertices of a small hull would go to the dome.
         let mut points: Vec<DVec3> =
             Mesh::icosphere(0.04, 4).vertices.into_iter().filter(|p| p.z > 0.001).collect();
         points.extend((0..24).map(|i| {
@@ -92,7 +92,7 @@ mod tests {
         keep_foot(&mut parts, &mesh, &plane, 24);
         assert!(before < 12 && foot(&parts[0]) >= 12, "{before} → {}", foot(&parts[0]));
         assert!(parts[0].vertices.len() <= 24 && parts[0].is_closed_oriented());
-        // A part that swelled downwards is put back onto the foot's level.
+        // A part that extends below the foot is moved back to its level.
         parts[0].vertices.iter_mut().for_each(|v| v.z -= 5e-5);
         keep_foot(&mut parts, &mesh, &plane, 24);
         let lowest = parts[0].vertices.iter().map(|v| v.z).fold(f64::MAX, f64::min);

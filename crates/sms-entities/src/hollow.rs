@@ -1,9 +1,9 @@
-//! Hollows whose floor no camera saw.
+//! Hollows with an unseen floor.
 //!
 //! Cameras look into a mug at a slant: they see its inner wall down to some depth and nothing below. Closing the mesh
-//! there fills the rest, and an empty mug weighs twice as much as it should. Where an object has thin walls, cameras
-//! look into it, and none of its surface was seen at the end of their view, the hollow continues between walls down to
-//! a floor of that thickness.
+//! there fills the rest, and an empty mug weighs twice as much as it should. The hollow is continued down to a floor as
+//! thick as the walls if the object has thin walls, if cameras look into it, and if no surface was seen at the end of
+//! their view.
 
 use crate::mesher::MeshInput;
 use crate::views::{Sight, Views};
@@ -13,31 +13,32 @@ use parry3d_f64::shape::TriMesh;
 use sms_core::Mesh;
 use sms_mesh::{PointGrid, median};
 
-/// Walls between these count as thin, metres …
+/// Least and largest thickness of a thin wall, metres.
 const WALL_M: [f64; 2] = [0.001, 0.01];
-/// … and no thicker than this share of the object's size.
+/// Largest thickness of a thin wall as a share of the object's size.
 const WALL_SHARE: f64 = 0.12;
 /// Share of the seen surface that must have a thin wall behind it.
 const THIN_SHARE: f64 = 0.35;
-/// A column under the contact area is filled for lack of sight when it is this many walls high.
+/// A column of the mesh above the contact area may be filled only because it was not seen if it is higher than this
+/// number of wall thicknesses.
 const COLUMN_WALLS: f64 = 2.5;
-/// Heights above a column's top where cameras may look into the hollow, metres.
+/// Heights above the top of a column at which free space is tested, metres.
 const LOOK_ABOVE_M: [f64; 3] = [0.005, 0.009, 0.014];
 /// Least number of columns of a hollow.
 const FEWEST: usize = 6;
-/// Share of the columns that end unseen over which cameras must look into the hollow.
+/// Share of these columns above which cameras must see free space.
 const LOOKED_INTO: f64 = 0.3;
 
-/// The hidden inside of a hollow: points with normals into the hollow.
+/// The unseen inner surface of a hollow: points with normals into the hollow.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct HiddenInside {
     pub(crate) points: Vec<DVec3>,
     pub(crate) normals: Vec<DVec3>,
 }
 
-/// Returns the hidden floor of a hollow of `mesh`, which was made of `input`, and the hidden part of its walls: the
-/// seen outside below the end of sight, moved inwards by a wall's thickness. `None` where the object is not hollow, or
-/// its hollow was seen to its end.
+/// Returns the unseen floor of a hollow of `mesh`, which was made from `input`, and the unseen part of its walls. These
+/// wall points are the seen outside, moved inwards by the thickness of the wall. Returns `None` if the object is not
+/// hollow, or its hollow was seen to the floor.
 pub(crate) fn hidden_inside(input: &MeshInput, mesh: &Mesh) -> Option<HiddenInside> {
     let views = input.views?;
     let solid = TriMesh::new(mesh.vertices.clone(), mesh.triangles.clone()).ok()?;
@@ -46,7 +47,7 @@ pub(crate) fn hidden_inside(input: &MeshInput, mesh: &Mesh) -> Option<HiddenInsi
     let up = plane.normal;
     let reach = 2.5 * input.spacing;
     let seen = PointGrid::new(&input.cloud.points_w, reach);
-    // Columns of the contact area that end unseen.
+    // Columns above the contact area that end in unseen material.
     let columns: Vec<(DVec3, f64)> = input
         .contact
         .iter()
@@ -64,7 +65,7 @@ pub(crate) fn hidden_inside(input: &MeshInput, mesh: &Mesh) -> Option<HiddenInsi
         inside.points.push(*q + up * wall);
         inside.normals.push(up);
     }
-    // Up to where the columns end; there the seen part of the wall begins.
+    // The columns end at this height; the seen part of the wall begins there.
     let end = median(columns.iter().map(|c| c.1).collect());
     for (&p, &n) in input.cloud.points_w.iter().zip(&input.cloud.normals_w) {
         let height = plane.height(p);
@@ -77,12 +78,12 @@ pub(crate) fn hidden_inside(input: &MeshInput, mesh: &Mesh) -> Option<HiddenInsi
     Some(inside)
 }
 
-/// Distance at which a ray from inside leaves the solid, metres.
+/// Returns the distance at which a ray from inside leaves the solid, metres.
 fn exit(solid: &TriMesh, origin: DVec3, direction: DVec3) -> Option<f64> {
     solid.cast_ray(&DPose3::IDENTITY, &Ray::new(origin, direction), 10.0, false)
 }
 
-/// Median thickness of the walls behind the seen surface; `None` where most of it has none.
+/// Returns the median thickness of the walls behind the seen surface, or `None` if most of it has no thin wall.
 fn wall_thickness(input: &MeshInput, mesh: &Mesh, solid: &TriMesh) -> Option<f64> {
     let size = mesh.aabb()?.extents().max_element();
     let limit = WALL_M[1].min(WALL_SHARE * size);
@@ -91,7 +92,7 @@ fn wall_thickness(input: &MeshInput, mesh: &Mesh, solid: &TriMesh) -> Option<f64
     let (mut thin, mut cast) = (Vec::new(), 0usize);
     for i in (0..cloud.points_w.len()).step_by(stride) {
         let inward = -cloud.normals_w[i];
-        // From a little in front of the surface through both sides of the wall.
+        // The ray starts slightly in front of the surface and passes through both sides of the wall.
         let start = cloud.points_w[i] - inward * 0.002;
         let Some(first) = exit(solid, start, inward).filter(|&d| d < 0.005) else { continue };
         let Some(second) = exit(solid, start + inward * (first + 1e-5), inward) else { continue };
@@ -104,7 +105,7 @@ fn wall_thickness(input: &MeshInput, mesh: &Mesh, solid: &TriMesh) -> Option<f64
     enough.then(|| median(thin).max(WALL_M[0]))
 }
 
-/// Whether cameras look through the space just above a point.
+/// Returns whether cameras see through the space just above a point.
 fn is_looked_into(views: &Views, top: DVec3, up: DVec3) -> bool {
     LOOK_ABOVE_M.iter().any(|&h| {
         let p = top + up * h;

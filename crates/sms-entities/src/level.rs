@@ -1,10 +1,10 @@
-//! Level faces: faces on which objects stand are made level before objects are parted.
+//! Makes contact faces level before overlapping objects are cut apart.
 //!
-//! Parting cuts two convex pieces along the plane between their deepest points. Where an unseen, extrapolated surface
-//! bulges into a flat board, that plane leans by a degree or two: it slices off the board's far end, and the rest rocks
-//! on the bulge. So where the face itself is known, from the seen part of an overhanging underside, from the upper end
-//! of its carrier, or because the object is an exact solid, the carrier ends there, and it is flat. Carriers stand on a
-//! flat foot themselves.
+//! Overlapping convex pieces are cut along the plane between their deepest points. If an unseen, extrapolated surface
+//! bulges into a flat board, this plane leans by a degree or two: it slices off the far end of the board, and the rest
+//! rocks on the bulge. The contact face is known if the underside was partly seen, from the upper end of its carrier,
+//! or if the object is an exact solid. In these cases the carrier ends at the face and is flat. Carriers themselves get
+//! a flat foot.
 
 use crate::piece::{cut_to, is_exact};
 use crate::standing::{
@@ -20,38 +20,39 @@ use sms_mesh::{
     quantile,
 };
 
-/// Seen points of an underside look down at least so steeply (cosine).
+/// Seen points of an underside have normals at least this close to straight down (cosine).
 const DOWN: f64 = 0.95;
-/// Faces of a hull that look down more than this (cosine) are its underside.
+/// Faces of a hull with normals closer than this to straight down (cosine) are its underside.
 const STEEP: f64 = 0.5;
-/// Least number of seen points that determine a face.
+/// Smallest number of seen points that determine a face.
 const FEWEST: usize = 30;
-/// A carrier stands on the floor with all corners within this of it, metres: a foot that is uneven by a millimetre lets
-/// a stack lean.
+/// The foot of a carrier is flattened if all its corners are within this distance of the floor, metres. A foot that is
+/// uneven by a millimetre tilts the stack.
 const FOOT_M: f64 = 0.0035;
-/// Masks lose a strip above the floor: a side that was seen lower than this, this near to a corner (metres), continues
-/// to the floor.
+/// Masks lose a strip above the floor. A side that was seen below this height, and within this distance of a corner
+/// (metres), is continued to the floor.
 const STRIP_M: f64 = 0.012;
 const NEAR_M: f64 = 0.01;
-/// Four fifths of the points of a level face lie within this height, metres, or this near to a plane that leans less
-/// than this, radians: a strip seen at a grazing angle seems to lean.
+/// A face is level if four fifths of its points lie within this height, metres, or within this distance of a plane with
+/// less than this tilt, radians. A strip seen at a grazing angle appears tilted.
 const LEVEL_M: f64 = 0.004;
 const LEANS: f64 = 0.05;
-/// A narrower support is an edge, not a face, metres.
+/// A narrower support is an edge instead of a face, metres.
 const FACE_M: f64 = 0.01;
-/// A foot is flat where this share of its width within [`REACH_M`] is within this of its lowest corner, metres: scans
-/// are uneven by two millimetres, and for a ball the share is 0.7.
+/// A foot is flat if its part within this height of the lowest corner, metres, has at least this share of the width
+/// within [`REACH_M`]. Scans are uneven by two millimetres, and the share of a ball is 0.7.
 const LOWEST_M: f64 = 0.0022;
 const FLAT_SHARE: f64 = 0.85;
-/// A piece that reaches farther than this outside the outline of the object on it was seen there, metres.
+/// A piece was seen beside the object on it if it reaches farther than this outside the object's outline, metres.
 const BESIDE_M: f64 = 0.001;
 /// Vertices within this share of a piece's thickness belong to its underside.
 const THICKNESS_SHARE: f64 = 0.35;
 
-/// Least share of a piece that is kept below a face: most of the extrapolated part above a thin slab may be cut off.
+/// Smallest share of a piece that must remain below a face. Most of the extrapolated part above a thin slab may be cut
+/// off.
 const LEAST_LEFT: f64 = 0.01;
 
-/// Flattens undersides of known height, and ends their carriers there. Returns these faces.
+/// Flattens undersides of known height and cuts off their carriers there. Returns these faces.
 pub(crate) fn level_faces(
     entities: &mut [Entity],
     rests: &[(u16, RestingPlane)],
@@ -86,12 +87,12 @@ pub(crate) fn level_faces(
     faces
 }
 
-/// Whether an object with this outline that ends at a height stands on `carrier`.
+/// Returns whether an object with this outline and lower end `height` stands on `carrier`.
 fn is_below(carrier: &Entity, outline: &[DVec2], height: f64) -> bool {
     carrier.parts.iter().any(|part| under(part, outline).iter().any(|p| p.z > height - 2.0 * REACH_M))
 }
 
-/// Outlines of the feet of an object's pieces: the space between them (a ring's hole) carries nothing.
+/// Outlines of the feet of an object's pieces. The space between them (the hole of a ring) carries nothing.
 fn foot_outlines(entity: &Entity, height: f64) -> Vec<Vec<DVec2>> {
     if is_exact(entity) {
         return vec![bottom_outline(entity)];
@@ -100,19 +101,19 @@ fn foot_outlines(entity: &Entity, height: f64) -> Vec<Vec<DVec2>> {
     entity.parts.iter().map(foot).collect()
 }
 
-/// A level face that an object stands on.
+/// A level supporting face.
 struct StandingFace {
     height: f64,
-    /// Where it was seen from below, in the world's x and y.
+    /// Points of the face seen from below, in the world's x and y.
     seen: Vec<DVec2>,
 }
 
-/// Returns the level face that an object stands on, as it was seen from below, else at the upper end of its carrier;
-/// `None` where it is not known.
+/// Returns the level face that supports an object: the seen part of its underside, or else the upper end of its
+/// carrier. Returns `None` if neither is known.
 fn face(entity: &Entity, rest: Option<&RestingPlane>) -> Option<StandingFace> {
     let low = bottom(entity);
     if is_exact(entity) {
-        // A cylinder that lies stands on a line, however wide its mesh is a millimetre above it.
+        // A lying cylinder stands on a line, although its mesh is wide one millimetre above it.
         let lies = matches!(entity.shape, EntityShape::Cylinder { x_ws, .. } if (x_ws.rotation * DVec3::Z).z.abs() < DOWN);
         let lowest = outline_of(entity.mesh.vertices.iter().copied().filter(|v| v.z < low + 1e-3));
         return (!lies && width(&lowest) > FACE_M).then_some(StandingFace { height: low, seen: Vec::new() });
@@ -123,7 +124,7 @@ fn face(entity: &Entity, rest: Option<&RestingPlane>) -> Option<StandingFace> {
     seen_face(entity, low).or(carrier.map(|height| StandingFace { height, seen: Vec::new() }))
 }
 
-/// Whether an object that ends at `low` is about as wide there as farther up; round undersides are not.
+/// Returns whether an object that ends at `low` is about as wide there as farther up. Round undersides are not.
 fn is_flat_below(entity: &Entity, low: f64) -> bool {
     let within = |of: f64| {
         width(&outline_of(entity.parts.iter().flat_map(|p| &p.vertices).copied().filter(|v| v.z < low + of)))
@@ -131,7 +132,7 @@ fn is_flat_below(entity: &Entity, low: f64) -> bool {
     within(LOWEST_M) > FLAT_SHARE * within(REACH_M)
 }
 
-/// The level face that was seen of an object that ends at `low`.
+/// Returns the seen level face of an object that ends at `low`.
 fn seen_face(entity: &Entity, low: f64) -> Option<StandingFace> {
     let cloud = &entity.cloud;
     let down = cloud.points_w.iter().zip(&cloud.normals_w).filter(|(_, n)| n.z < -DOWN).map(|(p, _)| *p);
@@ -139,7 +140,7 @@ fn seen_face(entity: &Entity, low: f64) -> Option<StandingFace> {
     if points.len() < FEWEST {
         return None;
     }
-    // Other undersides (a lid's, a rim's) are higher up.
+    // Other undersides (of a lid or a rim) are higher up.
     let lowest = quantile(points.iter().map(|p| p.z).collect(), 0.1);
     points.retain(|p| (p.z - lowest).abs() < 2.0 * REACH_M);
     let spread = |of: Vec<f64>| quantile(of.clone(), 0.9) - quantile(of, 0.1);
@@ -155,7 +156,7 @@ fn seen_face(entity: &Entity, low: f64) -> Option<StandingFace> {
     is_face.then(|| StandingFace { height, seen: points.into_iter().map(|p| p.truncate()).collect() })
 }
 
-/// Makes an object stand on the floor with all of its foot.
+/// Makes the whole foot of an object touch the floor.
 fn stand_flat(entity: &mut Entity, floor: f64, max_vertices: usize) {
     let cloud = &entity.cloud;
     let seen = cloud.points_w.iter().zip(&cloud.normals_w);
@@ -166,8 +167,8 @@ fn stand_flat(entity: &mut Entity, floor: f64, max_vertices: usize) {
     flatten(entity, &StandingFace { height: floor, seen: Vec::new() }, STRIP_M, max_vertices, &is_foot);
 }
 
-/// Puts those corners of an object's underside onto its face that are its foot and at most `reach` metres above it, and makes its pieces
-/// reach as far on the face as it was seen.
+/// Moves corners of an object's underside onto its face if they belong to its foot and are at most `reach` metres above
+/// the face. Extends the pieces on the face to its seen outline.
 fn flatten(
     entity: &mut Entity,
     face: &StandingFace,
@@ -179,15 +180,15 @@ fn flatten(
     for part in &mut entity.parts {
         let top = part.vertices.iter().map(|v| v.z).fold(f64::MIN, f64::max);
         let reach = reach.min(THICKNESS_SHARE * (top - height));
-        // A mesh rounds the edges of thin boards; seen from above the piece reaches to the end.
+        // A mesh rounds the edges of thin boards; the silhouette reaches to the real edge.
         let silhouette = outline_of(part.vertices.iter().copied());
         let Some(column) = PieceColumn::of(part) else { continue };
-        // Not outside the piece's span: that is another one's foot.
+        // Points outside the piece's silhouette belong to the foot of another piece.
         let ends_here =
             |p: DVec2| column.underside(p, height - 1.0).is_some_and(|z| z < height + 2.0 * REACH_M);
         let seen = face.seen.iter().filter(|p| is_within(&silhouette, **p, 0.0) && ends_here(**p));
         let seen: Vec<DVec3> = seen.map(|p| p.extend(height)).collect();
-        // A thin plate's upper side may be as near to its face as another one's underside.
+        // The upper side of a thin plate may be as close to the face as the underside of another piece.
         let mut is_below = corners_of_faces(part, |up| up < -STEEP);
         is_below
             .iter_mut()
@@ -207,8 +208,8 @@ fn flatten(
     }
 }
 
-/// Cuts off the part of a piece above a face that stands on it. A part that reaches far above it beside the face was
-/// seen there.
+/// Cuts off the part of a piece above a face that stands on it. A part that reaches far above the face beside it was
+/// seen and is kept.
 fn end_at(part: &mut Mesh, outline: &[DVec2], standing: &[Vec<DVec2>], height: f64, max_vertices: usize) {
     if reaches_beside(part, outline, height, BESIDE_M)
         || part.vertices.iter().all(|v| v.z < height + CLOSED_M)
@@ -217,7 +218,7 @@ fn end_at(part: &mut Mesh, outline: &[DVec2], standing: &[Vec<DVec2>], height: f
     }
     let triangles: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
     let above = outline_of(clip(&triangles, DVec3::Z, height).1.into_iter().flatten());
-    // A smaller overlap is beside the object on the face, and is parted from it.
+    // A piece with a smaller overlap is beside the object on the face, and is cut apart from it.
     let stands = |foot: &[DVec2]| width(&common(&above, foot)) > 0.5 * width(&above).min(width(foot));
     if standing.iter().any(|foot| stands(foot)) {
         cut_to(part, DVec3::Z, height, max_vertices, LEAST_LEFT);
@@ -233,7 +234,8 @@ mod tests {
     use sms_core::PointCloud;
     use sms_mesh::Plane;
 
-    /// A board of 12 mm on a solid block whose top nobody saw bulges into it, 15 mm high on one side.
+    /// A board of 12 mm on a solid block. The block's top was not seen and bulges into the board, 15 mm high on one
+    /// side.
     fn board_on_bulge(seen: usize) -> [Entity; 2] {
         let half = DVec3::new(0.2, 0.2, 0.25);
         let mut block = Mesh::cuboid(half);
@@ -243,7 +245,7 @@ mod tests {
         let mut block = entity("block", convex_hull(&points, 64, 0.0).unwrap(), EntityShape::Convex);
         block.label = 1;
         let mut slab = Mesh::cuboid(DVec3::new(0.5, 0.15, 0.006));
-        // A scan's underside is uneven by a millimetre.
+        // The underside of a scan is uneven by a millimetre.
         for v in slab.vertices.iter_mut() {
             let uneven = if v.z < 0.0 { 1e-3 * (v.x * v.y).signum() } else { 0.0 };
             *v += DVec3::new(0.3, 0.0, 0.506 + uneven);
@@ -274,7 +276,7 @@ mod tests {
         let end = board.parts[0].aabb().unwrap();
         assert!((end.max.x - 0.8).abs() < 1e-9 && (end.min.x + 0.2).abs() < 1e-9);
         assert!(pair.iter().all(|e| e.parts[0].is_closed_oriented()));
-        // The whole top of the block carries it.
+        // The whole top of the block carries the board.
         let face = block.parts[0].vertices.iter().filter(|v| (v.z - 0.5).abs() < 1e-9);
         assert!(outline_of(face.copied()).len() >= 4);
     }
@@ -282,7 +284,7 @@ mod tests {
     #[test]
     fn a_thin_piece_keeps_its_top_under_a_high_bulge() {
         let mut pair = board_on_bulge(100);
-        // The block's top is a piece of its own: 6 mm of it were there, and 40 mm were made up.
+        // The top of the block is a separate piece: 6 mm of it are real and 40 mm extrapolated.
         let slab = |low: f64, high: f64, half: f64| {
             let mut mesh = Mesh::cuboid(DVec3::new(half, half, 0.5 * (high - low)));
             mesh.vertices.iter_mut().for_each(|v| v.z += 0.5 * (low + high));
@@ -298,7 +300,7 @@ mod tests {
     #[test]
     fn an_underside_reaches_as_far_as_it_was_seen() {
         let [block, mut board] = board_on_bulge(380);
-        // The mesh of the board's end is a wedge: its underside begins 30 cm further in.
+        // The end of the board's mesh is a wedge: its underside begins 30 cm from the end.
         for v in board.parts[0].vertices.iter_mut().filter(|v| v.x > 0.7 && v.z < 0.505) {
             v.z = 0.508;
         }
@@ -329,7 +331,7 @@ mod tests {
         let faces = level_faces(&mut pair, &[(2, rest)], 0.0, 64);
         assert_eq!(faces, [LevelFace { upper: 1, height: 0.501 }]);
         assert!((highest(&pair[0]) - 0.501).abs() < 1e-9 && (bottom(&pair[1]) - 0.501).abs() < 1e-9);
-        // A face that was not seen to be level is left alone.
+        // A face is left unchanged unless it was seen to be level.
         let leaning = Plane { normal: DVec3::new(0.1, 0.0, 1.0).normalize(), offset: 0.5 };
         let before = board_on_bulge(0);
         let mut pair = before.clone();
@@ -358,14 +360,14 @@ mod tests {
     #[test]
     fn an_underside_that_seems_to_lean_is_level_and_parted_there() {
         let mut pair = board_on_bulge(200);
-        // Seen along 20 cm, 2.3° off.
+        // Seen along 20 cm, with a tilt of 2.3°.
         for (i, p) in pair[1].cloud.points_w.iter_mut().enumerate() {
             (p.y, p.z) = (0.01 * (i % 7) as f64, p.z + 0.04 * (p.x - 0.5));
         }
         let faces = level_faces(&mut pair, &[], 0.0, 64);
         let height = faces[0].height;
         assert!((height - 0.5).abs() < 1e-3, "{height}");
-        // A bulge that levelling leaves is cut off level, too.
+        // A bulge that remains after levelling is also cut off at the face.
         pair[0].parts[0].vertices.iter_mut().filter(|v| v.z > 0.4 && v.x > 0.0).for_each(|v| v.z += 0.004);
         part_objects(&mut pair, &faces, 64, 1e-4);
         assert!((highest(&pair[0]) - height).abs() < 1e-9 && (bottom(&pair[1]) - height).abs() < 1e-9);
@@ -394,7 +396,7 @@ mod tests {
     #[test]
     fn a_side_that_was_seen_down_to_a_strip_goes_on_to_the_floor() {
         let mut pair = board_on_bulge(100);
-        // A corner of the foot is 8 mm up.
+        // A corner of the foot is raised by 8 mm.
         let lifted = |v: &mut DVec3| v.z += if v.z < 0.01 && v.x > 0.0 && v.y > 0.0 { 8e-3 } else { 0.0 };
         pair[0].parts[0].vertices.iter_mut().for_each(lifted);
         let corner = |e: &Entity| {
@@ -408,7 +410,7 @@ mod tests {
             (0..5).map(|k| DVec3::new(0.2, 0.195, 0.009 + 1e-3 * f64::from(k))).collect();
         pair[0].cloud.normals_w = vec![DVec3::X; 5];
         pair[0].cloud.colors = vec![[0; 3]; 5];
-        // A bowl's underside there says that it does not.
+        // The underside of a bowl at this place contradicts a flat foot.
         let mut bowl = pair.clone();
         bowl[0].cloud.normals_w = vec![DVec3::new(0.6, 0.0, -0.8); 5];
         level_faces(&mut bowl, &[], 0.0, 64);
@@ -423,7 +425,7 @@ mod tests {
         let mut pair = before.clone();
         level_faces(&mut pair, &[], 0.0, 64);
         assert_eq!(pair, before);
-        // Parting alone does not keep the end: the other test depends on it.
+        // Cutting alone does not keep the end; the other test relies on this.
         part_objects(&mut pair, &[], 64, 1e-4);
         assert!(pair[1].parts[0].volume() < 0.9 * before[1].parts[0].volume());
     }
@@ -455,7 +457,7 @@ mod tests {
         let mut ring = entity("ring", sides[0].clone(), EntityShape::Convex);
         ring.parts = sides.to_vec();
         seen_from_below(&mut ring, DVec3::new(0.055, 0.0, 0.04));
-        // Free, and 0.1 mm in one side.
+        // First without contact, then overlapping by 0.1 mm on one side.
         for shift in [0.0, 0.0101] {
             let mut peg = stand.clone();
             peg.parts[1].vertices.iter_mut().for_each(|v| v.x += shift);
@@ -482,7 +484,7 @@ mod tests {
     fn an_upright_that_touches_a_book_stays() {
         let mut shelf =
             entity("shelf", slab(DVec3::new(0.3, 0.2, 0.05), DVec3::Z * 0.05), EntityShape::Convex);
-        // 0.5 mm of its 3 are in the book.
+        // The shelf overlaps the book by 0.5 mm of the book's 3 mm.
         shelf.parts.push(slab(DVec3::new(0.0015, 0.04, 0.1), DVec3::new(0.201, 0.0, 0.1)));
         let book = slab(DVec3::new(0.1, 0.05, 0.015), DVec3::new(0.1, 0.0, 0.115));
         let mut book = entity("book", book, EntityShape::Convex);
@@ -512,7 +514,7 @@ mod tests {
 
     #[test]
     fn a_flat_piece_of_a_tall_object_keeps_its_shape() {
-        // A plate of 4 mm with a hump of 8 mm on it, below a tall rest.
+        // A plate of 4 mm with a hump of 8 mm, below a tall rest.
         let mut plate = slab(DVec3::new(0.05, 0.05, 0.002), DVec3::Z * 0.502).vertices;
         plate.push(DVec3::Z * 0.512);
         let plate = convex_hull(&plate, 64, 0.0).unwrap();

@@ -1,20 +1,12 @@
-//! From Gaussians to objects: grouping, meshing, contact repair, textures (paper, Section "Materialize").
-//!
-//! [`build_entities`] takes the trained model, the frames it was trained on and their labels, and returns one dynamic
-//! [`sms_core::Entity`] per label and a static one for all unlabelled surface. Object by object:
-//!
-//! 1. `cloud`: the Gaussians classified as the object, without islands and without those that the frames contradict,
-//!    become an even, oriented surface cloud.
-//! 2. `support`, `underside`: its support is found, labels that bled over the edge between the two are corrected, and
-//!    the contact area that no camera saw is closed.
-//! 3. `recognise`: round objects become spheres, whatever they are called; boxes and cylinders that explain the points
-//!    replace the mesh.
-//! 4. `mesher`: the rest become closed meshes.
-//! 5. Crate `sms-mesh` splits meshes into convex parts for physics.
-//! 6. `level`, `contact`, `stack`, `lid`: where one object stands on another, both get the level face that was seen or
-//!    follows from the sides that were seen; overlapping parts of different objects are cut apart, gaps are closed.
-//! 7. `environment`: the unlabelled rest becomes a static triangle mesh.
-//! 8. `texture` ([`bake_textures`]): meshes get pictures from the frames.
+//! s without islands and without those that the frames contradict, become an even, oriented surface cloud. => without
+//! islands and contradictions to the frames, become an even, oriented surface cloud. its support is found, labels that
+//! bled over the edge between the two are corrected, and the contact area that no camera saw is closed. => find its
+//! support, correct labels that bleed over the edge between the two, and close the unseen contact area. round objects
+//! become spheres, whatever they are called; boxes => round objects become spheres; boxes where one object stands on
+//! another, both get the level face that was seen or follows from the sides that were seen; overlapping => where one
+//! object stands on another, both get the level face that was seen or that follows from the seen sides; overlapping the
+//! unlabelled rest becomes => unlabelled surface becomes meshes get pictures from the frames => meshes get textures
+//! from the frames
 
 mod body;
 mod build;
@@ -61,20 +53,20 @@ use sms_gaussians::GaussianModel;
 pub struct EntitySet {
     /// Objects in the order of their labels, then the environment.
     pub entities: Vec<Entity>,
-    /// Height of the level plane that carries the scene, metres, where one was seen near the world's z = 0; it stands
-    /// for the flat part of the environment, which the environment's mesh leaves out.
+    /// Height of the level plane that carries the scene, metres, if one was seen near the world's z = 0. It replaces
+    /// the flat part of the environment, which the environment's mesh leaves out.
     pub support_height: Option<f64>,
-    /// Labels of pieces with the labels of the objects they were joined to, in the order of joining.
+    /// Label of each joined piece with the label of its host, in the order of joining.
     pub joined: Vec<(u16, u16)>,
 }
 
 impl EntitySet {
-    /// Gives the pixels of joined pieces the label of the object they belong to now.
+    /// Relabels the pixels of joined pieces with the label of their host.
     pub fn relabel(&self, labels: &mut Labels) {
         relabel::relabel(labels, &self.joined);
     }
 
-    /// Gives the Gaussians of joined pieces the label of the object they belong to now.
+    /// Relabels the Gaussians of joined pieces with the label of their host.
     pub fn relabel_model(&self, model: &mut GaussianModel) {
         for label in &mut model.labels {
             *label = relabel::host_of(*label, &self.joined);

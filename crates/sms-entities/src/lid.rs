@@ -1,7 +1,6 @@
-//! Lids: the faces of carriers. No camera saw the face on which an object stands: above it a mesh bulges beyond the
-//! seen edge by centimetres, and the thin wall of an open bin ends millimetres too low, or nowhere. The object would
-//! tip at another edge than the real one. The sides were seen up to millimetres below the face, and they tell where its
-//! edge is.
+//! Lids: corrected upper faces of carriers. No camera saw the face on which an object stands. There a mesh bulges
+//! beyond the seen edge by centimetres, or the thin wall of an open bin ends millimetres too low. The object would tip
+//! over a wrong edge. The edge follows from the sides, which were seen up to a few millimetres below the face.
 
 use crate::piece::{CollisionPiece, cut_to, is_exact, is_thick, pieces_near};
 use crate::standing::{CLOSED_M, REACH_M, bottom, bottom_outline, can_carry, standing, under};
@@ -16,44 +15,45 @@ use sms_mesh::{
 
 /// Corners of a lid.
 const CORNERS: usize = 24;
-/// Least number of points that determine an edge.
+/// Smallest number of points that determine an edge.
 const FEWEST: usize = 30;
-/// Thickness of a lid, metres, where its carrier is as high.
+/// Thickness of a lid, metres, if its carrier is high enough.
 const THICK_M: f64 = 0.01;
-/// Masks lose a strip between two objects: a carrier that was seen up to this far below the face ends there, metres.
-/// Where another one carries the object, the limit is [`REACH_M`].
+/// Masks lose a strip between two objects. A carrier that was seen up to this distance below the face ends at the face,
+/// metres. If another carrier supports the object, the limit is [`REACH_M`].
 const STRIP_M: f64 = 0.012;
-/// Height below their upper end over which sides are used, metres.
+/// Height range of the sides that are used, below their upper end, metres.
 const SIDES_M: f64 = 0.008;
-/// Unlabelled sides this far below the face, and this near to the object, are its own, metres: masks lose a flared rim
-/// in the shade as a whole, and its edge is farther from the wall below it than the face …
+/// Unlabelled sides up to this far below the face belong to the carrier if they are this close to the object on it,
+/// metres. Masks may lose a whole flared rim in the shade, and the rim's edge is farther from the wall below it than
+/// from the face.
 const LOST_M: f64 = 0.03;
 const FLARED_M: f64 = 0.045;
-/// … unless they face the object (cosine of the angle between).
+/// Unlabelled sides that face the object are excluded (cosine of the angle between).
 const BACK: f64 = 0.5;
-/// Surface this near to the face is extrapolated, metres.
+/// Surface within this distance of the face is extrapolated, metres.
 const MADE_UP_M: f64 = 0.002;
-/// Seen points have more than this number of others within [`NEAR_M`], metres: else they are noise.
+/// Points with fewer neighbours than this within [`NEAR_M`] are noise.
 const NEIGHBORS: usize = 3;
-/// A place this near to seen points was seen, metres.
+/// A place within this distance of seen points was seen, metres.
 const NEAR_M: f64 = 0.02;
-/// Sides end a bulge where they look the way it reaches (cosine of the angle between, seen from above).
+/// Sides limit a bulge if they face the direction in which it extends (cosine of the angle between, seen from above).
 const FACES: f64 = 0.5;
-/// A top this near to the object on it carries it once it has settled, metres.
+/// A top within this distance of the object on it carries it after settling, metres.
 const TOUCH_M: f64 = 1e-3;
-/// Contact faces may end before the seen edge, or beyond it, by this much, metres; beyond the last limit it is not a
-/// bulge.
+/// Largest distances by which a contact face may end before the seen edge or extend beyond it, metres; beyond the last
+/// limit it is not a bulge.
 const MISSING_M: f64 = 0.008;
 const EXCESS_M: f64 = 0.004;
 const UNSEEN_M: f64 = 0.06;
-/// Tops that carry beyond the edge are lowered by this much, metres: a structure that leans by as much has tipped.
+/// Distance by which tops beyond the edge are lowered, metres: a structure that tilts by as much has tipped.
 const LOWERED_M: f64 = 0.0015;
-/// Least width of a face, metres.
+/// Smallest width of a face, metres.
 const NARROW_M: f64 = 0.02;
 
-/// Replaces faces of carriers whose collision shape ends elsewhere than the seen edge by a convex piece under the
-/// underside of the object on it, with the seen outline. For an object on a rim it is as good as the rim: both carry it
-/// within the same outline.
+/// Corrects contact faces of carriers if their collision shape does not end at the seen edge. A convex piece with the
+/// seen outline, under the underside of the upper object, replaces the face. This also holds for an object on a rim: a
+/// rim and a lid with the same outline carry it alike.
 pub(crate) fn add_lids(
     entities: &mut [Entity],
     rests: &[(u16, RestingPlane)],
@@ -82,7 +82,7 @@ pub(crate) fn add_lids(
             let strip = if is_elsewhere || others().any(bears) { REACH_M } else { STRIP_M };
             let upper = Upper { entity: &entities[upper], outline: &outline, height };
             let Some(lid) = lid(carrier, &upper, strip, around) else { continue };
-            // Lowering the top for one object would lower it below the other.
+            // A top that also carries another object must not be lowered.
             let is_shared = |e: &Entity| {
                 let foot = bottom_outline(e);
                 (bottom(e) - height).abs() < REACH_M && touches(carrier, &foot, bottom(e))
@@ -98,14 +98,14 @@ pub(crate) fn add_lids(
     }
 }
 
-/// Whether an object with this outline that ends at a height touches `carrier`.
+/// Returns whether an object with this outline and lower end `height` touches `carrier`.
 fn touches(carrier: &Entity, outline: &[DVec2], height: f64) -> bool {
     let is_near = |p: &DVec3| (p.z - height).abs() < TOUCH_M;
     let of = |piece: &Mesh| under(piece, outline).iter().any(is_near);
     outline.len() >= 3 && if is_exact(carrier) { of(&carrier.mesh) } else { carrier.parts.iter().any(of) }
 }
 
-/// Whether a piece enters no other object.
+/// Returns whether a piece is outside all other objects.
 fn is_clear(lid: &Mesh, own: usize, entities: &[Entity]) -> bool {
     let (Some(space), Some(lid)) = (lid.aabb(), CollisionPiece::of(lid)) else { return false };
     let others = (0..entities.len()).filter(|&i| i != own);
@@ -115,7 +115,7 @@ fn is_clear(lid: &Mesh, own: usize, entities: &[Entity]) -> bool {
 }
 
 /// Lowers pieces that carry an object with this outline a little. Parts that reach far above it beside the outline were
-/// seen, and are kept.
+/// seen and are kept.
 fn lower_tops(parts: &mut Vec<Mesh>, outline: &[DVec2], height: f64, max_vertices: usize) {
     let is_bearing = |part: &Mesh| {
         let high = part.vertices.iter().map(|v| v.z).fold(f64::MIN, f64::max);
@@ -129,30 +129,30 @@ fn lower_tops(parts: &mut Vec<Mesh>, outline: &[DVec2], height: f64, max_vertice
         let is_left = cut_to(part, DVec3::Z, height - LOWERED_M, max_vertices, 1e-6);
         is_left && is_thick(part)
     };
-    // The lid replaces pieces within the last millimetre altogether.
+    // The lid replaces pieces within the last millimetre.
     parts.retain_mut(lowered);
 }
 
 struct Lid {
     piece: Mesh,
-    /// Whether the carrier's shape reaches beyond it.
+    /// Whether the carrier's shape extends beyond the lid.
     replaces: bool,
 }
 
-/// The object on a face: its outline, and the face's height.
+/// The object on a face: its outline and the height of the face.
 struct Upper<'a> {
     entity: &'a Entity,
     outline: &'a [DVec2],
     height: f64,
 }
 
-/// `None` where the shape ends at the edge that was seen, or none was within `strip` of the face.
+/// Returns `None` if the shape ends at the seen edge, or if no edge was seen within `strip` of the face.
 fn lid(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surroundings) -> Option<Lid> {
     let Upper { outline, height, .. } = *upper;
     let tops = carrier.parts.iter().flat_map(|part| under(part, outline));
     let touching = outline_of(tops.filter(|p| (p.z - height).abs() < TOUCH_M));
     let seen = seen_sides(carrier, upper, strip, around)?;
-    // Where no side was seen that looks there the edge is a guess, and the mesh another.
+    // Where no side facing outwards was seen, the edge is a guess; the mesh is a better one.
     let is_guessed = |p: &&DVec2| {
         let edge = nearest_on(&seen.edge, **p);
         let out = (**p - edge).normalize_or_zero();
@@ -176,7 +176,7 @@ fn lid(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surroundings) -
     Some(Lid { piece, replaces })
 }
 
-/// The farthest corners in [`CORNERS`] directions.
+/// Returns the farthest corners in [`CORNERS`] directions.
 fn simplified(outline: &[DVec2]) -> Vec<DVec2> {
     let extreme = |k: usize| {
         let out = DVec2::from_angle(std::f64::consts::TAU * k as f64 / CORNERS as f64);
@@ -185,7 +185,7 @@ fn simplified(outline: &[DVec2]) -> Vec<DVec2> {
     convex_outline(&(0..CORNERS).filter_map(extreme).collect::<Vec<_>>())
 }
 
-/// The point of an outline nearest to a point outside it.
+/// Returns the point of an outline nearest to a point outside it.
 fn nearest_on(outline: &[DVec2], p: DVec2) -> DVec2 {
     let on = |i: usize| {
         let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
@@ -199,7 +199,7 @@ fn nearest_on(outline: &[DVec2], p: DVec2) -> DVec2 {
 #[derive(Clone, Copy)]
 struct SeenSide {
     p: DVec2,
-    /// Horizontal normal of the side: of unit length, or zero where unknown.
+    /// Horizontal unit normal of the side, or zero if unknown.
     normal: DVec2,
 }
 
@@ -212,11 +212,11 @@ impl SeenSide {
 /// The seen sides of an object, from above.
 struct Sides {
     sides: Vec<SeenSide>,
-    /// Their convex outline.
+    /// Convex outline of the sides.
     edge: Vec<DVec2>,
 }
 
-/// Returns an object's seen sides right below a face at a height. Unlabelled sides beside the object count as its own.
+/// Returns an object's seen sides right below a face. Unlabelled sides beside the object belong to it.
 fn seen_sides(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surroundings) -> Option<Sides> {
     let Upper { outline, height, .. } = *upper;
     let is_near = |p: DVec3| {
@@ -234,14 +234,14 @@ fn seen_sides(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surround
     let lost: Vec<(DVec3, DVec3)> = around.lost_sides.iter().copied().filter(is_lost).collect();
     let points: Vec<DVec3> = lost.iter().map(|(p, _)| *p).collect();
     let grid = PointGrid::new(&points, NEAR_M);
-    // Itself is among them.
+    // The point itself is in the count.
     let is_no_noise = |p: DVec3, grid: &PointGrid| grid.within(p, NEAR_M).len() > NEIGHBORS;
     let lost: Vec<(DVec3, DVec3)> = lost.into_iter().filter(|(p, _)| is_no_noise(*p, &grid)).collect();
     let normal = |i: usize| cloud.normals_w.get(i).copied().unwrap_or_default();
     let upright: Vec<usize> = (0..cloud.points_w.len()).filter(|&i| normal(i).z.abs() < UPRIGHT).collect();
     let mut sides: Vec<usize> = upright.iter().copied().filter(|&i| is_near(cloud.points_w[i])).collect();
-    // Sides that continue beyond the face do not end there. Points inside the object on the face, which nobody can have
-    // seen, are skirts of discs below.
+    // Sides that continue above the face do not end there. Points inside the upper object's outline at the face cannot
+    // have been seen: they come from discs of the sides below.
     let beyond = |p: DVec3| p.z > height + REACH_M && is_within(outline, p.truncate(), 0.0);
     let beyond: Vec<DVec3> = upright.iter().map(|&i| cloud.points_w[i]).filter(|&p| beyond(p)).collect();
     let space = Aabb::of_points(beyond.iter().copied());
@@ -266,7 +266,7 @@ fn seen_sides(carrier: &Entity, upper: &Upper<'_>, strip: f64, around: &Surround
     }
     let sides: Vec<SeenSide> =
         sides.into_iter().map(|i| SeenSide::new(cloud.points_w[i], normal(i))).collect();
-    // The outermost Gaussians are noise; unlabelled points are means of depths.
+    // The outermost Gaussians are noise; unlabelled points are averaged depths.
     let outermost = convex_outline(&sides.iter().map(|s| s.p).collect::<Vec<_>>());
     let inner = sides.into_iter().filter(|s| !outermost.contains(&s.p));
     let lost = lost.into_iter().map(|(p, normal)| SeenSide::new(p, normal));
@@ -288,7 +288,7 @@ mod tests {
         entity(name, mesh, EntityShape::Convex)
     }
 
-    /// A bin whose collision shape ends `low` below its rim at 0.5 m, where the rim of 0.3 × 0.4 m was seen.
+    /// A bin with a collision shape that ends `low` below its rim. The rim of 0.3 × 0.4 m was seen at 0.5 m.
     fn bin(low: f64) -> Entity {
         let half = 0.5 * (0.5 - low);
         let mut bin = cuboid("bin", DVec3::new(0.1, 0.12, half), DVec3::Z * half);
@@ -303,7 +303,7 @@ mod tests {
             bin.cloud.points_w.push(p.extend(z));
             bin.cloud.normals_w.push(normal);
         }
-        // Noise far outside.
+        // Noise far outside the bin.
         bin.cloud.points_w.push(DVec3::new(0.25, 0.0, 0.499));
         bin.cloud.normals_w.push(DVec3::X);
         bin
@@ -313,7 +313,7 @@ mod tests {
         Surroundings::default()
     }
 
-    /// Surface that no label has.
+    /// Unlabelled surface.
     fn unlabelled(points: impl Iterator<Item = DVec3>, normal: DVec3) -> Surroundings {
         let points: Vec<DVec3> = points.collect();
         let (normals, labels) = (vec![normal; points.len()], vec![BACKGROUND; points.len()]);
@@ -326,7 +326,7 @@ mod tests {
     fn a_rim_that_no_mask_explains_is_of_what_is_beside_it() {
         let board = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.506));
         let mut bin = bin(0.007);
-        // Labels end 1 cm below the rim, which is background.
+        // Labels end 1 cm below the rim; the rim is background.
         let rim = std::mem::take(&mut bin.cloud.points_w);
         bin.cloud.points_w.extend(rim.iter().map(|p| p - DVec3::Z * 0.012));
         let far = (0..50).map(|k| DVec3::new(0.0, -0.6, 0.498) + DVec3::X * 0.002 * f64::from(k));
@@ -349,15 +349,15 @@ mod tests {
         assert!((bounds.min - DVec3::new(-0.15, -0.2, 0.49)).abs().max_element() < 0.005, "{bounds:?}");
         assert_eq!(bounds.max.z, bottom(&all[1]));
         assert_eq!(all[1], board);
-        // Once is enough.
+        // A second pass changes nothing.
         let before = all.clone();
         add_lids(&mut all, &[], 0.0, 64, &nothing());
         assert_eq!(all, before);
     }
 
-    /// Least mass at y = 0.2 m that keeps a board of unit mass at y = -0.3 m from tipping over the edge at negative y of
-    /// these parts, whose tops are at z = 0.5 m. A board that leans by 2° has tipped: tops that it meets later do not
-    /// carry it.
+    /// Returns the smallest mass at y = 0.2 m that keeps a board of unit mass at y = -0.3 m from tipping over the edge
+    /// of these parts at negative y. The tops of the parts are at z = 0.5 m. A board that tilts by 2° has tipped: lower
+    /// tops do not carry it.
     fn counterweight(parts: &[Mesh]) -> f64 {
         let corners = || parts.iter().flat_map(|p| p.vertices.iter().copied());
         let level = corners().filter(|v| v.z > 0.5 - TOUCH_M).map(|v| -v.y).fold(f64::MIN, f64::max);
@@ -366,7 +366,7 @@ mod tests {
         (0.3 - edge) / (0.2 + edge)
     }
 
-    /// A seat of 0.3 × 0.4 m whose sides were seen, and whose mesh bulges 3 cm beyond them above.
+    /// A seat of 0.3 × 0.4 m with seen sides. Its mesh bulges 3 cm beyond them at the top.
     #[test]
     fn a_top_bears_within_the_edge_that_was_seen() {
         let mut stool = bin(0.0);
@@ -381,21 +381,21 @@ mod tests {
         let mut all = [stool.clone(), board.clone()];
         add_lids(&mut all, &[], 0.0, 64, &nothing());
         let [_, lid] = &all[0].parts[..] else { panic!("{} parts", all[0].parts.len()) };
-        // The board's weight acts at y = -0.3 m, a counterweight at 0.2 m: it tips over the seen edge at -0.2 m below a
-        // quarter of its mass, over the end of the bulge below a sixth.
+        // The weight of the board acts at y = -0.3 m, the counterweight at 0.2 m. It tips over the seen edge at -0.2 m
+        // with less than a quarter of the board's mass, and over the end of the bulge with less than a sixth.
         assert!((counterweight(&stool.parts) - 0.163).abs() < 0.002, "{}", counterweight(&stool.parts));
         assert!((counterweight(&all[0].parts) - 0.25).abs() < 0.02, "{}", counterweight(&all[0].parts));
         let bounds = lid.aabb().unwrap();
         assert!((bounds.max - DVec3::new(0.15, 0.2, 0.5)).abs().max_element() < 0.006, "{bounds:?}");
         assert!((bounds.min.truncate() - DVec2::new(-0.15, -0.2)).abs().max_element() < 0.006, "{bounds:?}");
         assert_eq!(all[1], board);
-        // A piece of it that was seen to reach up beside the board is left, and a top that ends where it was seen to end.
+        // A seen part of the seat that rises beside the board is kept, and so is a top that ends at its seen edge.
         let mut post = stool.clone();
         post.parts.push(lamp.transformed(&DPose3::from_translation(DVec3::new(0.0, 0.4, 0.0))));
         let mut all = [post.clone(), board.clone()];
         add_lids(&mut all, &[], 0.0, 64, &nothing());
         assert_eq!(all[0].parts[1], post.parts[1]);
-        // Its back was not seen: there the mesh is the better guess.
+        // The back of the seat was not seen: the mesh is the better guess there.
         let mut half = stool.clone();
         let (points, normals): (Vec<_>, Vec<_>) =
             half.cloud.points_w.iter().zip(&half.cloud.normals_w).filter(|(p, _)| p.y < 0.0).unzip();
@@ -413,7 +413,7 @@ mod tests {
 
     #[test]
     fn a_table_beside_a_book_is_no_side_of_it() {
-        // Half of the board is over the book, 2 cm above a table that no label has.
+        // Half of the board is over the book, 2 cm above an unlabelled table.
         let mut book = cuboid("book", DVec3::new(0.1, 0.15, 0.01), DVec3::Z * 0.49);
         for k in 0..1200 {
             let (i, j) = (f64::from(k % 40) / 39.0, f64::from(k / 40) / 29.0);
@@ -441,7 +441,7 @@ mod tests {
         let board = |y: f64| cuboid("board", DVec3::new(0.2, 0.1, 0.006), DVec3::new(0.0, y, 0.506));
         let mut seat = bin(0.0);
         seat.cloud.points_w.iter_mut().for_each(|p| p.z -= 0.003);
-        // Its mesh reaches 3 cm farther than its sides were seen.
+        // The mesh of the seat extends 3 cm beyond its seen sides.
         seat.parts = cuboid("seat", DVec3::new(0.18, 0.23, 0.25), DVec3::Z * 0.25).parts;
         let mut alone = [seat.clone(), board(-0.12)];
         add_lids(&mut alone, &[], 0.0, 64, &nothing());
@@ -455,7 +455,7 @@ mod tests {
     fn a_rim_is_not_raised_to_what_stands_on_another() {
         let board = cuboid("board", DVec3::new(0.2, 0.6, 0.006), DVec3::new(0.0, -0.3, 0.506));
         let post = cuboid("post", DVec3::new(0.05, 0.05, 0.25), DVec3::new(0.0, -0.7, 0.25));
-        // Seen to end 7 mm below the board.
+        // The seen sides end 7 mm below the board.
         let mut low = bin(0.007);
         low.cloud.points_w.iter_mut().for_each(|p| p.z -= 0.007);
         let mut all = [low.clone(), board.clone()];
@@ -468,7 +468,7 @@ mod tests {
             add_lids(&mut all, &[], 0.0, 64, &nothing());
             assert_eq!(all[0], low);
         }
-        // A bracket that no label has.
+        // An unlabelled bracket.
         let mut all = [low.clone(), board];
         all[1].label = 7;
         let rest = |carrier| RestingPlane { plane: Plane::horizontal(0.5), carrier, noise_m: 1e-3 };
@@ -480,7 +480,7 @@ mod tests {
 
     #[test]
     fn what_goes_on_beyond_the_face_gets_no_lid() {
-        // A mug of 20 cm below a riser that stands elsewhere.
+        // A mug of 20 cm under a riser that is supported elsewhere.
         let riser = cuboid("riser", DVec3::new(0.3, 0.3, 0.006), DVec3::Z * 0.406);
         let mut mug = bin(0.0);
         mug.parts = cuboid("mug", DVec3::new(0.02, 0.02, 0.1), DVec3::Z * 0.1).parts;
@@ -494,7 +494,7 @@ mod tests {
 
     #[test]
     fn skirts_within_what_stands_there_are_no_sides_that_go_on() {
-        // A box of 10 cm on a seat: a third of the discs of its sides reach up to 3 cm into the box.
+        // A box of 10 cm on a seat: a third of the discs on the seat's sides extend up to 3 cm into the box.
         let upright = cuboid("box", DVec3::new(0.25, 0.3, 0.05), DVec3::Z * 0.55);
         let mut seat = bin(0.007);
         let skirt: Vec<DVec3> = (0..700)
@@ -509,7 +509,7 @@ mod tests {
         let [_, lid] = &all[0].parts[..] else { panic!("{} parts", all[0].parts.len()) };
         let bounds = lid.aabb().unwrap();
         assert!((bounds.max - DVec3::new(0.15, 0.2, 0.5)).abs().max_element() < 0.006, "{bounds:?}");
-        // Of a frame that stands around them they are sides, and the seat reaches through it.
+        // The same points are sides of a frame around them, and the seat passes through the frame.
         let mut frame = upright;
         frame.parts = [-1.0, 1.0]
             .map(|s| {
@@ -534,7 +534,7 @@ mod tests {
             add_lids(&mut all, &[], 0.0, 64, &around);
             all[0].parts[1].aabb().unwrap().max.x
         };
-        // A panel 3 cm behind the bin looks at it; a flared rim looks away.
+        // A panel 3 cm behind the bin faces it; a flared rim faces away.
         assert!((wall(DVec3::NEG_X) - 0.15).abs() < 0.006, "{}", wall(DVec3::NEG_X));
         assert!((wall(DVec3::X) - 0.18).abs() < 0.006, "{}", wall(DVec3::X));
     }

@@ -13,20 +13,21 @@ use sms_mesh::{
     tetra::{self, NONE, Tetrahedralization, delaunay},
 };
 
-/// How the mesh was obtained; later ones are fallbacks.
+/// The way a mesh was obtained; later variants are fallbacks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum MeshPath {
-    /// The rule that was asked for.
+    /// The configured rule.
     Asked,
-    /// The prune rule, because the vote left nothing usable.
+    /// The prune rule, because the vote gave no usable mesh.
     Prune,
-    /// The convex hull, because neither rule did.
+    /// The convex hull, because neither rule gave a usable mesh.
     Hull,
 }
 
-/// Weight of the cut's faces against the votes (four corners vote with up to one each).
+/// Weight of the cut's faces against the votes. Each of the four corners has at most one vote.
 const STIFFNESS: f64 = 0.7;
-/// Vote against a tetrahedron per camera that looks through its centre, and for how many of them at most.
+/// Vote against a tetrahedron for each camera that sees through its centre, and the largest number of cameras that
+/// count.
 const FREE_VOTE: f64 = 1.5;
 const FREE_MOST: usize = 4;
 
@@ -44,9 +45,9 @@ pub(crate) struct MeshInput<'a> {
     pub(crate) spacing: f64,
 }
 
-/// The closed surface that oriented points outline, by the rule, the smoothing and the face budget of `config`. The
-/// points should cover the whole surface at an even distance from each other that is finer than its walls; normals
-/// (unit, outward) may be rough. `None` when the points enclose nothing.
+/// Returns the closed surface around oriented points, with the rule, the smoothing and the face budget of `config`. The
+/// points should cover the whole surface evenly, at a distance finer than the thickness of its walls; normals (unit,
+/// outward) may be rough. Returns `None` when the points enclose no volume.
 ///
 /// ```
 /// use sms_core::{Mesh, PointCloud};
@@ -81,7 +82,7 @@ pub(crate) fn mesh_object(input: &MeshInput, config: &EntitiesConfig) -> Option<
     hollowed.or(Some(first))
 }
 
-/// The same with points on the hidden inside of a hollow.
+/// Like [`mesh_object`], with additional points on the unseen inside of a hollow.
 fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) -> Option<(Mesh, MeshPath)> {
     let mut points = input.cloud.points_w.clone();
     let mut normals = input.cloud.normals_w.clone();
@@ -94,7 +95,7 @@ fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) 
     let usable = |mesh: &Mesh| {
         mesh.is_closed_oriented()
             && mesh.volume() > 0.02 * hull.volume()
-            // Outliers a million metres away make a needle whose inertia is lost in rounding.
+            // An outlier a million metres away makes a needle. Its inertia is lost in rounding.
             && polyhedron_mass_properties(mesh, 1.0).is_ok_and(|m| is_wide(m.inertia()))
     };
     let rules = match config.mesh {
@@ -121,8 +122,8 @@ fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) 
     usable(&mesh).then_some((mesh, MeshPath::Hull))
 }
 
-/// Whether the narrowest side of a body with this inertia is above rounding: its second moment is a difference of
-/// numbers as large as the widest side's.
+/// Returns whether the second moment along the narrowest side of a body is above rounding errors. The moment is a
+/// difference of numbers as large as the moment of the widest side.
 fn is_wide(inertia: glamx::DMat3) -> bool {
     let moments = glamx::DSymmetricEigen3::new(inertia).eigenvalues;
     moments.element_sum() - 2.0 * moments.max_element() > 1e-9 * moments.max_element()
@@ -143,7 +144,7 @@ fn vote(tetrahedra: &Tetrahedralization, normals: &[DVec3], input: &MeshInput) -
             })
             .collect();
         for (vote, free) in votes.iter_mut().zip(free) {
-            // One camera may err at a depth edge; two agree on free space.
+            // A single camera may be wrong at a depth edge; free space needs two.
             if free >= 2 || (free == 1 && frames < 6) {
                 *vote -= FREE_VOTE * free.min(FREE_MOST) as f64;
             }
@@ -152,7 +153,7 @@ fn vote(tetrahedra: &Tetrahedralization, normals: &[DVec3], input: &MeshInput) -
     tetra::cut(tetrahedra, &votes, STIFFNESS, 0.5 * input.spacing * input.spacing)
 }
 
-/// Vertices this near to the resting plane become the foot, metres.
+/// Vertices this close to the resting plane become the foot, metres.
 const CONTACT_BAND: f64 = 0.002;
 
 fn finish(
@@ -168,15 +169,15 @@ fn finish(
     let mesh = rest_on(mesh, &input.rest, CONTACT_BAND);
     let mut small = within_budget(&mesh, config);
     keep_volume(&mut small, mesh.volume());
-    // The foot stayed flat but for rounding and the volume's correction.
+    // The foot is flat except for rounding and the correction of the volume.
     let mesh = rest_on(small, &input.rest, 3e-4);
     let parts = mesh.components();
-    // Splitting may part sheets that only touched: the solid with the largest volume is the object.
+    // Splitting may separate sheets that only touched; the solid with the largest volume is the object.
     parts.into_iter().max_by(|a, b| a.volume().total_cmp(&b.volume())).unwrap_or(mesh)
 }
 
-/// Moves the surface evenly outwards until it encloses `volume`: chords of a round shape lie inside it, and a mesh of
-/// 2000 faces loses half a percent by that.
+/// Moves the surface evenly outwards until it encloses `volume`. Chords of a round shape lie inside it, so a mesh of
+/// 2000 faces loses half a percent of volume.
 fn keep_volume(mesh: &mut Mesh, volume: f64) {
     let (area, lost) = (mesh.area(), volume - mesh.volume());
     if !(area > 0.0 && lost.abs() < 0.05 * volume) {
@@ -188,14 +189,15 @@ fn keep_volume(mesh: &mut Mesh, volume: f64) {
     }
 }
 
-/// The mesh with at most the wanted number of faces, unless that would move its surface by over a twentieth of its size.
+/// Returns the mesh with at most the wanted number of faces, unless decimation would move its surface by more than a
+/// twentieth of its size.
 fn within_budget(mesh: &Mesh, config: &EntitiesConfig) -> Mesh {
     let size = mesh.aabb().map_or(0.0, |b| b.extents().max_element());
     decimate(mesh, config.face_budget, 0.05 * size)
 }
 
-/// Moves every vertex that is below the plane, or less than `band` above it, onto the plane, so that the body stands on
-/// a flat foot and overlaps nothing.
+/// Moves every vertex below the plane, or less than `band` above it, onto the plane. The body then has a flat foot and
+/// overlaps nothing.
 pub(crate) fn rest_on(mut mesh: Mesh, plane: &Plane, band: f64) -> Mesh {
     for v in &mut mesh.vertices {
         if plane.height(*v) < band {
@@ -205,7 +207,7 @@ pub(crate) fn rest_on(mut mesh: Mesh, plane: &Plane, band: f64) -> Mesh {
     mesh
 }
 
-/// Share of the mesh's area that has a seen point with a like normal within `reach`.
+/// Returns the share of the mesh's area with a seen point of similar normal within `reach`.
 pub(crate) fn observed_share(mesh: &Mesh, cloud: &PointCloud, reach: f64) -> f64 {
     let grid = PointGrid::new(&cloud.points_w, reach);
     let (mut seen, mut total) = (0.0, 0.0);
@@ -213,7 +215,7 @@ pub(crate) fn observed_share(mesh: &Mesh, cloud: &PointCloud, reach: f64) -> f64
         let [a, b, c] = mesh.corners(t);
         let cross = (b - a).cross(c - a);
         let (area, normal) = (0.5 * cross.length(), cross.normalize_or_zero());
-        // Large faces of a decimated mesh may be seen in part: four samples each.
+        // Large faces of a decimated mesh may be seen only partly: four samples each.
         let middle = (a + b + c) / 3.0;
         for p in [middle, (middle + a) * 0.5, (middle + b) * 0.5, (middle + c) * 0.5] {
             let mut near = false;

@@ -12,7 +12,7 @@ const ALLOWED: f64 = 1e-5;
 /// Mean thickness of the thinnest part that is kept after cutting, metres.
 const THINNEST: f64 = 1e-4;
 
-/// Whether an object is an exact solid: it keeps its shape, and hulls give way to it.
+/// Returns whether an object is an exact solid: it keeps its shape, and overlapping hulls are cut.
 pub(crate) fn is_exact(entity: &Entity) -> bool {
     entity.shape.is_primitive()
 }
@@ -33,7 +33,7 @@ pub(crate) fn bounds(entity: &Entity) -> Option<Aabb> {
     Aabb::of_points(entity.parts.iter().flat_map(|p| p.vertices.iter().copied()))
 }
 
-/// A convex piece of an object, where it is.
+/// A convex piece of an object in the world frame.
 pub(crate) struct CollisionPiece {
     x_ws: DPose3,
     shape: Box<dyn Shape>,
@@ -41,13 +41,13 @@ pub(crate) struct CollisionPiece {
 }
 
 impl CollisionPiece {
-    /// A hull; `None` of one without volume.
+    /// Makes a piece from a hull; `None` if it has no volume.
     pub(crate) fn of(part: &Mesh) -> Option<Self> {
         let shape = ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles)?;
         Some(Self { x_ws: DPose3::identity(), shape: Box::new(shape), bounds: part.aabb()? })
     }
 
-    /// Normal to the other piece and the deepest points of both, where they overlap.
+    /// Returns the normal towards the other piece and the deepest points of both, if they overlap.
     fn overlap(&self, other: &Self) -> Option<(DVec3, DVec3, DVec3)> {
         if are_apart(&self.bounds, &other.bounds) {
             return None;
@@ -57,18 +57,18 @@ impl CollisionPiece {
         usable.then_some((contact.normal1, contact.point1, contact.point2))
     }
 
-    /// Whether it contains a point of the world.
+    /// Returns whether the piece contains a point of the world.
     pub(crate) fn holds(&self, p_w: DVec3) -> bool {
         self.shape.contains_point(&self.x_ws, p_w)
     }
 
-    /// Depth in another piece, metres; 0 without overlap.
+    /// Returns the depth inside another piece, metres; 0 without overlap.
     pub(crate) fn depth_in(&self, other: &Self) -> f64 {
         self.overlap(other).map_or(0.0, |(normal, p, q)| (p - q).dot(normal))
     }
 }
 
-/// The pieces of an object that may be within a box.
+/// Returns the pieces of an object that may be inside a box.
 pub(crate) fn pieces_near<'a>(
     entity: &'a Entity,
     near: &'a Aabb,
@@ -99,25 +99,26 @@ fn piece(entity: &Entity, i: usize) -> Option<CollisionPiece> {
     }
 }
 
-/// Normal from `a` to `b` and the deepest points of both, where the pieces overlap.
+/// Returns the normal from `a` to `b` and the deepest points of both, if the pieces overlap.
 pub(crate) fn overlap(a: &Entity, i: usize, b: &Entity, j: usize) -> Option<(DVec3, DVec3, DVec3)> {
-    // Most pairs are far apart, and shapes take time to make.
+    // Most pairs are far apart, and shapes are expensive to build.
     if are_apart(&piece_bounds(a, i)?, &piece_bounds(b, j)?) {
         return None;
     }
     piece(a, i)?.overlap(&piece(b, j)?)
 }
 
-/// Least share of a piece that is left by a cut between deepest points: a smaller rest has another cause than a contact
-/// face.
+/// Smallest share of a piece that a cut between deepest points may leave. If less is left, the overlap is not at a
+/// contact face.
 const LEAST_LEFT: f64 = 0.2;
 
-/// Keeps the part below the plane; `false`, and no change, when less than [`LEAST_LEFT`] of the piece would be left.
+/// Keeps the part below the plane. Returns `false` and changes nothing if less than [`LEAST_LEFT`] of the piece would
+/// be left.
 pub(crate) fn cut(part: &mut Mesh, normal: DVec3, offset: f64, max_vertices: usize) -> bool {
     cut_to(part, normal, offset, max_vertices, LEAST_LEFT)
 }
 
-/// [`cut`] with the least share that must be left.
+/// Like [`cut`], with the smallest share that must be left.
 pub(crate) fn cut_to(
     part: &mut Mesh,
     normal: DVec3,
@@ -137,7 +138,7 @@ pub(crate) fn cut_to(
     }
 }
 
-/// Whether a convex piece is thick enough for engines.
+/// Returns whether a convex piece is thick enough for engines.
 pub(crate) fn is_thick(part: &Mesh) -> bool {
     2.0 * part.volume() > THINNEST * part.area()
 }

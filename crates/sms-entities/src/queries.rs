@@ -8,10 +8,10 @@ use std::f64::consts::PI;
 
 /// Name and description of the support plane.
 const FLOOR: &str = "floor";
-/// Vertices of the hulls whose volume is compared with the meshes'.
+/// Vertex limit of the hulls whose volume is compared with that of the meshes.
 const HULL_VERTICES: usize = 256;
 
-/// Describes each entity for the choice of its material, in their order, and the floor, which comes last.
+/// Describes each entity, in order, for the choice of its material; the floor comes last.
 pub fn material_queries(set: &EntitySet) -> Vec<ObjectQuery> {
     let mut queries: Vec<ObjectQuery> = set.entities.iter().map(query).collect();
     queries.push(ObjectQuery {

@@ -8,7 +8,7 @@ use glamx::{DPose3, DQuat, DVec3};
 use sms_core::{EntityShape, Mesh, PointCloud, Seed, even_directions};
 use sms_mesh::{Plane, RaySample, SphereFit, fit_primitive, fit_sphere, primitive_mesh, refine_on_rays};
 
-/// Labelled depth pixels away from edges of depth and mask, as rays.
+/// Returns labelled depth pixels away from depth and mask edges, as rays.
 fn object_rays(views: &Views, label: u16) -> Vec<RaySample> {
     let mut rays = Vec::new();
     for (f, frame) in views.sequence.frames.iter().enumerate() {
@@ -42,7 +42,8 @@ fn object_rays(views: &Views, label: u16) -> Vec<RaySample> {
     rays.into_iter().step_by(stride).collect()
 }
 
-/// Fits a sphere to an object's cloud; `None` where it has another shape, or the frames contradict a sphere.
+/// Fits a sphere to an object's cloud. Returns `None` if the object has another shape or the frames contradict a
+/// sphere.
 pub(crate) fn recognise_sphere(
     cloud: &PointCloud,
     label: u16,
@@ -56,14 +57,15 @@ pub(crate) fn recognise_sphere(
     if !first.explains(points, &config.sphere) {
         return None;
     }
-    // A ball on the level floor touches it: that constrains the hidden lower half.
+    // A ball on the level floor touches it, which constrains the hidden lower half.
     let gap = first.center.z - first.radius - rest.plane.offset;
     let floor = (rest.carrier == Carrier::Floor && gap.abs() < 0.004).then_some((rest.plane.offset, 0.0005));
     let rays = object_rays(views, label);
     let best = match refine_on_rays(&rays, first.center, first.radius, floor) {
         Some((center, radius)) => {
             let refined = SphereFit::of_sphere(points, center, radius, first.sigma, &config.sphere);
-            // The mask may bleed over in the rays; the cloud decides whether they improved the fit.
+            // The rays may include pixels of neighbours, so the inliers of the cloud decide whether the rays improved
+            // the fit.
             if refined.inlier_share + 0.05 >= first.inlier_share { refined } else { first }
         }
         None => first,
@@ -71,13 +73,14 @@ pub(crate) fn recognise_sphere(
     (!is_contradicted(&best, views, around, label, rest)).then_some(best)
 }
 
-/// Largest share of a sphere's seen directions through which cameras look. Borders of masks and of depth cost a few
-/// percent; a bowl, the cap of a sphere, is seen through over half of it.
+/// Largest share of a sphere's seen directions with free space behind the surface. Mask and depth edges cost a few
+/// percent; a bowl, which is the cap of a sphere, has over a half.
 const SEEN_THROUGH: f64 = 0.12;
 /// Largest depth of a ball below its support, metres.
 const SUNK_M: f64 = 0.003;
 
-/// Depth of a ball below its support, metres. In a hollow the carrier's surface counts, not the plane.
+/// Returns the depth of a ball below its support, metres. In a hollow the support is the carrier's surface instead of
+/// the plane.
 pub(crate) fn sunk(fit: &SphereFit, around: &Surroundings, rest: &RestingPlane) -> f64 {
     let hollow = match rest.carrier {
         Carrier::Object(carrier) => height_below_ball(around, carrier, fit.center, fit.radius),
@@ -89,7 +92,7 @@ pub(crate) fn sunk(fit: &SphereFit, around: &Surroundings, rest: &RestingPlane) 
     }
 }
 
-/// Whether the cameras or the floor contradict a whole sphere. A round bowl's wall lies on a sphere, too.
+/// Returns whether the cameras or the floor contradict a whole sphere. The wall of a round bowl also lies on a sphere.
 fn is_contradicted(
     fit: &SphereFit,
     views: &Views,
@@ -102,7 +105,7 @@ fn is_contradicted(
     }
     let (mut seen, mut through) = (0, 0);
     for direction in even_directions(400) {
-        // Slightly inside, so that noise of a true surface is not taken for emptiness.
+        // Slightly inside, so that a noisy surface does not count as free space.
         let count = views.count(fit.center + direction * (0.97 * fit.radius), label);
         if count.own + count.free >= 2 {
             seen += 1;
@@ -112,13 +115,14 @@ fn is_contradicted(
     through as f64 > SEEN_THROUGH * f64::from(seen.max(1))
 }
 
-/// Least cosine between a solid's axis and the vertical for it to be set upright exactly: 3°.
+/// Smallest cosine between a solid's axis and the vertical for which the solid is set exactly upright: 3°.
 const UPRIGHT: f64 = 0.9986;
-/// Gap or overlap with the carrier that is taken for an error of the scan, metres.
+/// Largest gap or overlap with the carrier that counts as an error of the scan, metres.
 const GAP_M: f64 = 0.004;
 
-/// Fits a box or a cylinder to the object's points and its contact points, and sets it onto its support. `None` where
-/// neither explains the points, where `mesh` of the same points has another volume, or where cameras look through it.
+/// Fits a box or a cylinder to the object's points and its contact points, and places it on its support. Returns `None`
+/// if neither fits the points, if the volume differs from that of `mesh`, which has the same points, or if cameras see
+/// through the solid.
 pub(crate) fn recognise_primitive(
     draft: &Draft,
     contact: &[DVec3],
@@ -133,7 +137,7 @@ pub(crate) fn recognise_primitive(
     }
     let plane = &draft.rest.plane;
     let mut cloud = draft.cloud.clone();
-    // Contact points tell where the solid ends, but do not vote for it.
+    // Contact points constrain the extent of the solid, but do not count as inliers.
     cloud.points_w.extend_from_slice(contact);
     cloud.normals_w.extend(std::iter::repeat_n(-plane.normal, contact.len()));
     let fit = fit_primitive(&cloud, Some(plane.normal), settings, seed)?;
@@ -147,7 +151,7 @@ pub(crate) fn recognise_primitive(
     (same_volume && !is_looked_through(&surface, views, draft.info.id)).then_some(shape)
 }
 
-/// The solid turned the little that sets it upright (or lays a cylinder flat) on the plane, and moved onto it.
+/// Returns the solid after a small rotation that sets it upright (or lays a cylinder flat), and a shift onto the plane.
 fn stood_on(shape: EntityShape, plane: &Plane) -> EntityShape {
     let n = plane.normal;
     let turned = |x_ws: DPose3, axis: DVec3, onto: DVec3| -> DPose3 {
@@ -183,9 +187,10 @@ fn stood_on(shape: EntityShape, plane: &Plane) -> EntityShape {
     }
 }
 
-/// Whether cameras look through the solid just under its surface, more than borders of masks and depth explain.
+/// Returns whether cameras see through the solid just below its surface, at more places than mask and depth edges
+/// explain.
 fn is_looked_through(surface: &Mesh, views: &Views, label: u16) -> bool {
-    /// Under the surface by this much, metres, so that noise of a true one is not taken for emptiness.
+    /// Depth below the surface, metres, so that a noisy surface does not count as free space.
     const UNDER_M: f64 = 0.002;
     let (mut seen, mut through) = (0.0, 0.0);
     for t in 0..surface.triangles.len() {
@@ -218,7 +223,7 @@ mod tests {
         };
         assert!((x_ws.rotation * DVec3::Z).dot(plane.normal) > 1.0 - 1e-12);
         assert!((plane.height(x_ws.translation) - 0.05).abs() < 1e-12);
-        // A lying cylinder touches along its whole length.
+        // A lying cylinder touches the plane along its whole length.
         let lying = DPose3::from_parts(
             plane.normal * (plane.offset + 0.031),
             tilt * DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2),
@@ -227,7 +232,7 @@ mod tests {
         let EntityShape::Cylinder { x_ws, .. } = stood_on(can, &plane) else { panic!() };
         assert!((x_ws.rotation * DVec3::Z).dot(plane.normal).abs() < 1e-12);
         assert!((plane.height(x_ws.translation) - 0.03).abs() < 1e-12);
-        // An object that leans by 10° stays so, and so does one 2 cm above the plane.
+        // An object that leans by 10° keeps its pose, and so does one 2 cm above the plane.
         let leaning = DPose3::from_parts(DVec3::Z, DQuat::from_rotation_x(0.17));
         let shape = EntityShape::Box { x_ws: leaning, half_extents: size };
         assert_eq!(stood_on(shape.clone(), &Plane::horizontal(0.9)), shape);

@@ -1,4 +1,5 @@
-//! Entities on disk: `<name>/{cloud.ply, mesh.obj, textured.{obj,mtl,png}, parts/*.obj, entity.json}`, and `entities.json` that lists them.
+//! Entities on disk: `<name>/{cloud.ply, mesh.obj, textured.{obj,mtl,png}, parts/*.obj, entity.json}`, and a list of
+//! them in `entities.json`.
 
 use crate::{EntitiesError, EntitySet};
 use serde::{Deserialize, Serialize};
@@ -8,7 +9,7 @@ use sms_core::{
 };
 use std::path::Path;
 
-/// File stem of the mesh with its picture.
+/// File stem of the textured mesh.
 const TEXTURED: &str = "textured";
 
 #[derive(Serialize, Deserialize)]
@@ -34,10 +35,7 @@ struct EntityFile {
     mean_color: [u8; 3],
 }
 
-/// Writes every entity into a folder of its name below `dir`.
-///
-/// # Errors
-/// [`EntitiesError::Core`] when a file cannot be written.
+/// s into a folder of its name below `dir` => into a folder with its name in `dir`
 pub fn save_entities(dir: &Path, set: &EntitySet) -> Result<(), EntitiesError> {
     for entity in &set.entities {
         let folder = dir.join(&entity.name);

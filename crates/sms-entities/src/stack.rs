@@ -1,6 +1,6 @@
-//! Gaps between stacked objects. No camera saw the faces on which objects stand: the lower surface is extrapolated
-//! there and bulges into the upper one, and parting the two leaves steps and gaps of millimetres into which a stack
-//! would drop.
+//! Gaps between stacked objects. No camera saw the faces on which objects stand: the lower surface is extrapolated and
+//! bulges into the upper one. Cutting the two apart leaves steps and gaps of millimetres, and the stack would drop into
+//! them.
 
 use crate::piece::{CollisionPiece, is_exact, pieces_near, translate};
 use crate::standing::{
@@ -13,13 +13,13 @@ use sms_mesh::{
     outline::{common, is_within, meet, outline_of, width},
 };
 
-/// Upward faces of a hull's top, both sides of a ridge included: least upward component of the normal.
+/// Smallest upward component of the normal of a hull's top faces; both sides of a ridge are included.
 const UP: f64 = 0.1;
-/// A piece narrower than this from above is a wall with a ridge, metres.
+/// A piece that is narrower than this from above is a wall with a ridge, metres.
 const WALL_M: f64 = 0.03;
-/// Closes gaps between objects that stand on each other, from the lowest up. Tops of a carrier's convex pieces that end
-/// below the other's bottom are raised to it; an object on an exact solid, or in the middle of a wide top, is lowered
-/// onto it.
+/// Closes gaps between objects that stand on each other, from the lowest up. If a convex piece of a carrier ends below
+/// the upper object, its top is raised. An object on an exact solid, or on the middle of a wide top, is lowered
+/// instead.
 pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usize) {
     for upper in standing(entities, floor) {
         let outline = bottom_outline(&entities[upper]);
@@ -40,12 +40,12 @@ pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usiz
             for k in 0..carrier.parts.len() {
                 let part = &entities[lower].parts[k];
                 let raised = raise_top(part, &outline, height, max_vertices);
-                // A neighbour may be in the way of the raised top.
+                // The raised top may collide with a neighbour.
                 if let Some(raised) = raised.filter(|r| enters_none(r, part, lower, entities)) {
                     entities[lower].parts[k] = raised;
                     drop = 0.0;
                 } else if let Some((gap, is_in_the_middle)) = gap_over(part, &outline, height) {
-                    // An object that reaches over something low is supported elsewhere.
+                    // An object that extends over a lower one is supported elsewhere.
                     limit = limit.min(gap);
                     drop = if is_in_the_middle { drop.min(gap) } else { drop };
                 }
@@ -58,20 +58,21 @@ pub(crate) fn close_gaps(entities: &mut [Entity], floor: f64, max_vertices: usiz
     }
 }
 
-/// Whether a point lies under an outline, or beside it by no more than a scan may err.
+/// Returns whether a point lies under an outline, or beside it within the error of a scan.
 fn is_under(outline: &[DVec2], p: DVec2) -> bool {
     is_within(outline, p, REACH_M)
 }
 
-/// Height of the bottom over an exact solid's top where one is above the other, else infinite; negative where they
-/// overlap.
+/// Returns the height of the bottom above an exact solid's top: infinite if they are not above each other, negative if
+/// they overlap.
 fn gap_over_exact(carrier: &Entity, outline: &[DVec2], height: f64) -> f64 {
     let Some(bounds) = carrier.mesh.aabb() else { return f64::INFINITY };
     let top = outline_of(carrier.mesh.vertices.iter().copied().filter(|v| v.z > bounds.max.z - 1e-3));
     if top.len() >= 3 && meet(&top, outline) { height - bounds.max.z } else { f64::INFINITY }
 }
 
-/// Height of the bottom over the part of a piece under it, and whether that is under its middle; `None` without one.
+/// Returns the height of the bottom above the part of a piece under it, and whether this part is under the middle of
+/// the outline. Returns `None` if no part is under it.
 fn gap_over(part: &Mesh, outline: &[DVec2], height: f64) -> Option<(f64, bool)> {
     let under = under(part, outline);
     let top = under.iter().map(|p| p.z).reduce(f64::max)?;
@@ -80,7 +81,7 @@ fn gap_over(part: &Mesh, outline: &[DVec2], height: f64) -> Option<(f64, bool)> 
     Some(((height - top).max(0.0), is_within(&near, middle, 0.0)))
 }
 
-/// Whether raising a piece makes it enter no other object's piece more deeply.
+/// Returns whether a raised piece overlaps every other object's piece no more than before.
 fn enters_none(raised: &Mesh, before: &Mesh, own: usize, entities: &[Entity]) -> bool {
     let (Some(space), Some(raised), Some(before)) =
         (raised.aabb(), CollisionPiece::of(raised), CollisionPiece::of(before))
@@ -93,11 +94,11 @@ fn enters_none(raised: &Mesh, before: &Mesh, own: usize, entities: &[Entity]) ->
         .all(|other| raised.depth_in(&other) <= before.depth_in(&other) + CLOSED_M)
 }
 
-/// Raises a piece's top under the outline to `height` where it is at most [`REACH_M`] below: its corners there, and the
-/// places where its top leaves the outline (a wall's continuing ridge has no corner there).
+/// Raises a piece's top under the outline to `height` if it is at most [`REACH_M`] lower. This moves corners of the
+/// piece, and adds points where its top crosses the outline (the ridge of a wall has no corner there).
 fn raise_top(part: &Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -> Option<Mesh> {
     let is_near = |z: f64| z > height - REACH_M && z < height + CLOSED_M;
-    // The underside of a thin piece is as near, and is kept.
+    // The underside of a thin piece may be as close; it is kept.
     let looks_up = corners_of_faces(part, |up| up > UP);
     let is_raised = |v: &DVec3, up: bool| up && is_near(v.z) && is_under(outline, v.truncate());
     let (corners, kept): (Vec<_>, Vec<_>) =
@@ -106,11 +107,11 @@ fn raise_top(part: &Mesh, outline: &[DVec2], height: f64, max_vertices: usize) -
     let column = PieceColumn::of(part)?;
     let top = |p: DVec2| column.top(p, height + 1.0);
     let high = outline_of(part.vertices.iter().copied().filter(|v| v.z > height - 2.0 * REACH_M));
-    // A wide top was seen beside the other object, and would be lifted with it.
+    // A wide top was seen beside the upper object; crossings would lift its seen part.
     let crossings = if width(&high) < WALL_M { common(&high, outline) } else { Vec::new() };
     let crossings = crossings.into_iter().filter(|&p| top(p).is_some_and(is_near));
     let crossings: Vec<DVec3> = crossings.map(|p| p.extend(height)).collect();
-    // A corner or an edge alone is a detail, not a face.
+    // A single corner or edge is a detail instead of a face.
     if corners.len() + crossings.len() < 3 {
         return None;
     }
@@ -138,7 +139,7 @@ mod tests {
 
     #[test]
     fn a_step_below_a_box_is_filled_and_what_was_seen_beside_it_stays() {
-        // A stool whose top ends 1.7 mm below the box on one side, 2.5 mm on the other.
+        // A stool with a top that ends 1.7 mm below the box on one side and 2.5 mm on the other.
         let mut stool = cuboid("stool", DVec3::new(0.2, 0.2, 0.3), DVec3::Z * 0.3, false);
         for v in stool.parts[0].vertices.iter_mut().filter(|v| v.z > 0.5) {
             v.z -= if v.x > 0.0 { 0.0017 } else { 0.0025 };
@@ -149,7 +150,7 @@ mod tests {
         assert!(top.len() == 4 && top.iter().all(|v| (v.z - 0.6).abs() < 1e-12), "{top:?}");
         assert!(all[0].parts[0].is_closed_oriented() && (bottom(&all[1]) - 0.6).abs() < 1e-12);
 
-        // Beside the box the top is as it was seen.
+        // Beside the box, the top keeps its seen height.
         let wide = cuboid("table", DVec3::new(0.5, 0.5, 0.299), DVec3::Z * 0.299, false);
         let mut all =
             [wide.clone(), cuboid("box", DVec3::new(0.1, 0.1, 0.05), DVec3::new(0.0, 0.0, 0.65), true)];
@@ -160,7 +161,7 @@ mod tests {
 
     #[test]
     fn a_top_is_not_raised_into_what_stands_beside() {
-        // A round table 3 mm below a box at its rim; raised there it would be in a box in its middle.
+        // A round table 3 mm below a box at its rim. If raised there, it would overlap a box in its middle.
         let rim = |z: f64| {
             (0..32).map(move |k| {
                 let (sin, cos) = (std::f64::consts::TAU / 32.0 * f64::from(k)).sin_cos();
@@ -182,13 +183,13 @@ mod tests {
 
     #[test]
     fn planks_that_cross_are_put_down_on_each_other_and_not_through_a_ridge() {
-        // Neither has a corner over the other one.
+        // Neither object has a corner over the other one.
         let low = cuboid("low", DVec3::new(0.3, 0.02, 0.1), DVec3::Z * 0.1, true);
         let high = cuboid("high", DVec3::new(0.02, 0.3, 0.01), DVec3::Z * 0.214, true);
         let mut all = [low.clone(), high.clone()];
         close_gaps(&mut all, 0.0, 64);
         assert!((bottom(&all[1]) - 0.2).abs() < 1e-9);
-        // A peak 1 mm below carries it before the plank does.
+        // A peak 1 mm below the box carries it before the plank does.
         let mut peak = cuboid("peak", DVec3::new(0.01, 0.01, 0.05), DVec3::new(0.0, 0.2, 0.05), false);
         peak.parts[0].vertices.push(DVec3::new(0.0, 0.2, 0.203));
         peak.parts[0] = convex_hull(&peak.parts[0].vertices, 64, 0.0).unwrap();
@@ -226,7 +227,7 @@ mod tests {
 
     #[test]
     fn a_wall_that_runs_on_beyond_a_board_carries_it_where_they_cross() {
-        // A wall of 8 mm along x, 2 mm too low, whose corners all lie beyond the board across it.
+        // A wall of 8 mm along x, 2 mm too low. All its corners lie beyond the board, which crosses it.
         let wall = cuboid("wall", DVec3::new(0.3, 0.004, 0.149), DVec3::Z * 0.149, false);
         let board = cuboid("board", DVec3::new(0.1, 0.4, 0.01), DVec3::new(0.0, 0.0, 0.31), false);
         let mut all = [wall, board];
@@ -249,7 +250,7 @@ mod tests {
         let heights: Vec<f64> = all.iter().map(bottom).collect();
         assert!((heights[1] - 0.4).abs() < 1e-9 && (heights[0] - 0.42).abs() < 1e-9, "{heights:?}");
         assert_eq!(heights[2], 0.0);
-        // Ten centimetres of air are not a scan error, and neighbours do not carry.
+        // A gap of ten centimetres is not a scan error, and objects side by side do not carry each other.
         let high = cuboid("lamp", DVec3::splat(0.05), DVec3::Z * 0.55, true);
         let beside = cuboid("shelf", DVec3::splat(0.05), DVec3::new(0.5, 0.0, 0.452), true);
         let mut all =

@@ -1,4 +1,4 @@
-//! Objects that stand on each other: their bottoms, and the pieces below them.
+//! Objects that stand on each other: their bottoms and the pieces below them.
 
 use crate::piece::is_exact;
 use glamx::{DVec2, DVec3};
@@ -8,22 +8,22 @@ use sms_core::{Entity, EntityKind, EntityShape, Mesh};
 use sms_mesh::clip;
 use sms_mesh::outline::{is_within, outline_of};
 
-/// Largest step or gap that is closed, metres: larger ones were seen, or have another shape.
+/// Largest step or gap that is closed, metres. Larger ones were seen, or come from another shape.
 pub(crate) const REACH_M: f64 = 0.005;
-/// A carrier reaches down at least this far below the face, metres.
+/// A carrier extends at least this far below the face, metres.
 pub(crate) const BELOW_M: f64 = 0.005;
 /// Gap that physics engines do not notice, metres.
 pub(crate) const CLOSED_M: f64 = 1e-5;
 
-/// An object that stands with a level face, by its index, and that face's height, metres.
+/// The index of an object that stands on a level face, and the height of that face, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LevelFace {
     pub(crate) upper: usize,
     pub(crate) height: f64,
 }
 
-/// Returns the objects that stand on others and not on the floor, the lowest first. Balls touch at a point and are
-/// handled elsewhere.
+/// Returns the objects that stand on other objects instead of the floor, lowest first. Balls, which touch at a point,
+/// are handled elsewhere.
 pub(crate) fn standing(entities: &[Entity], floor: f64) -> Vec<usize> {
     let can_stand = |e: &Entity| {
         let is_ball = matches!(e.shape, EntityShape::Sphere { .. });
@@ -34,7 +34,7 @@ pub(crate) fn standing(entities: &[Entity], floor: f64) -> Vec<usize> {
     order
 }
 
-/// Whether an object may carry another that ends at a height.
+/// Returns whether an object may carry another object that ends at `height`.
 pub(crate) fn can_carry(entity: &Entity, height: f64) -> bool {
     entity.kind == EntityKind::Dynamic && bottom(entity) < height - BELOW_M
 }
@@ -50,7 +50,7 @@ pub(crate) fn bottom(entity: &Entity) -> f64 {
     vertices(entity).map(|v| v.z).fold(f64::INFINITY, f64::min)
 }
 
-/// Convex outline of an object's bottom from above, counterclockwise.
+/// Returns the convex outline of an object's bottom from above, counterclockwise.
 pub(crate) fn bottom_outline(entity: &Entity) -> Vec<DVec2> {
     let low = bottom(entity) + REACH_M;
     outline_of(vertices(entity).filter(|v| v.z < low))
@@ -67,13 +67,13 @@ pub(crate) fn under(part: &Mesh, outline: &[DVec2]) -> Vec<DVec3> {
     under.into_flattened()
 }
 
-/// Whether a piece reaches far above a face beside the outline of the object on it, by more than `margin` (metres):
-/// that part was seen, and is kept.
+/// Returns whether a piece reaches more than `margin` (metres) above a face, outside the outline of the object on that
+/// face. Such a part was seen and is kept.
 pub(crate) fn reaches_beside(part: &Mesh, outline: &[DVec2], height: f64, margin: f64) -> bool {
     part.vertices.iter().any(|v| v.z > height + REACH_M && !is_within(outline, v.truncate(), margin))
 }
 
-/// Marks the corners of a hull that belong to a face whose normal's upward component is as wanted.
+/// Marks the corners of a hull's faces that satisfy `wanted`, which gets the upward component of a face's normal.
 pub(crate) fn corners_of_faces(part: &Mesh, wanted: impl Fn(f64) -> bool) -> Vec<bool> {
     let mut is = vec![false; part.vertices.len()];
     for (t, corners) in part.triangles.iter().enumerate() {
@@ -92,12 +92,12 @@ impl PieceColumn {
         ConvexPolyhedron::from_convex_mesh(part.vertices.clone(), &part.triangles).map(Self)
     }
 
-    /// Height of the top at a place, looked for from `above` down to a metre lower.
+    /// Returns the height of the top, searched from `above` to one metre lower.
     pub(crate) fn top(&self, p: DVec2, above: f64) -> Option<f64> {
         self.0.cast_local_ray(&Ray::new(p.extend(above), DVec3::NEG_Z), 2.0, true).map(|t| above - t)
     }
 
-    /// Height of the underside at a place, looked for from `below` up.
+    /// Returns the height of the underside, searched from `below` upwards.
     pub(crate) fn underside(&self, p: DVec2, below: f64) -> Option<f64> {
         self.0.cast_local_ray(&Ray::new(p.extend(below), DVec3::Z), 2.0, true).map(|t| below + t)
     }

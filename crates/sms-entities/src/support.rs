@@ -19,9 +19,9 @@ pub(crate) struct Surroundings {
     pub(crate) normals: Vec<DVec3>,
     pub(crate) labels: Vec<u16>,
     pub(crate) colors: Vec<[u8; 3]>,
-    /// Unlabelled sides, with their normals: masks lose a strip between two objects, or a whole rim in the shade.
+    /// Unlabelled sides with their normals. Masks lose a strip between two objects, or a whole rim in the shade.
     pub(crate) lost_sides: Vec<(DVec3, DVec3)>,
-    /// Sides of the reconstruction with their labels: it contains thin rims whole.
+    /// Sides of the reconstruction with their labels. The reconstruction contains thin rims completely.
     pub(crate) own_sides: Vec<(DVec3, u16)>,
 }
 
@@ -50,7 +50,7 @@ pub(crate) enum Carrier {
     Environment,
     /// Another object.
     Object(u16),
-    /// No surface was seen below; a horizontal plane under the lowest point is assumed.
+    /// No surface was seen below: a horizontal plane under the lowest point is assumed.
     Unseen,
 }
 
@@ -63,7 +63,7 @@ pub(crate) struct RestingPlane {
     pub(crate) noise_m: f64,
 }
 
-/// Scatter assumed where little of the carrying surface was seen.
+/// Assumed scatter if little of the carrying surface was seen.
 const UNSEEN_NOISE_M: f64 = 0.001;
 
 /// Sums over the measurements in one cell.
@@ -75,11 +75,11 @@ struct Cell {
     count: u32,
 }
 
-/// Measurements looked at: enough for several in each cell of a desk.
+/// Number of measurements used: enough for several in each cell of a desk.
 const SAMPLES: usize = 1_000_000;
 
-/// Surface points of all frames about `spacing` apart, each the mean of several measurements, with the normals of the
-/// depth. Both sides of a wall are kept apart.
+/// Returns surface points of all frames about `spacing` apart. Each is the mean of several measurements and has the
+/// normal of the depth. Both sides of a wall are kept apart.
 pub(crate) fn surroundings(views: &Views, spacing: f64) -> Surroundings {
     let mut cells: BTreeMap<([i32; 3], u16, u8), Cell> = BTreeMap::new();
     let pixels: usize = views.labels.maps.iter().map(|m| m.data.len()).sum();
@@ -109,7 +109,7 @@ pub(crate) fn surroundings(views: &Views, spacing: f64) -> Surroundings {
             }
         }
     }
-    // A cell hit once is more often a flying pixel than a surface.
+    // A cell with a single measurement is more often a flying pixel than a surface.
     let least = if views.sequence.frames.len() > 5 { 3 } else { 1 };
     let mut out = Surroundings::default();
     for ((_, label, _), cell) in cells {
@@ -123,7 +123,8 @@ pub(crate) fn surroundings(views: &Views, spacing: f64) -> Surroundings {
     out
 }
 
-/// Height of the dominant plane near the world's z = 0; `None` where no level unlabelled surface is seen there.
+/// Returns the height of the dominant plane near the world's z = 0, or `None` if no level unlabelled surface is seen
+/// there.
 pub(crate) fn support_height(around: &Surroundings) -> Option<f64> {
     let level: Vec<f64> = (0..around.points.len())
         .filter(|&i| {
@@ -145,7 +146,7 @@ pub(crate) fn support_height(around: &Surroundings) -> Option<f64> {
 }
 
 /// Finds the plane that carries the object with these surface points: the best nearly level plane through the surface
-/// around and below its lowest part.
+/// around and below the lowest part of the object.
 pub(crate) fn find_rest(
     points: &[DVec3],
     label: u16,
@@ -170,7 +171,7 @@ pub(crate) fn find_rest(
                 && flat.is_near(p.with_z(0.0), 0.04)
         })
         .collect();
-    // Past the rim of a dish more may be seen of the floor below it than of the dish around the foot of its content.
+    // Beyond the rim of a dish, more of the floor may be seen than of the dish around its content.
     let next_to_foot: Vec<usize> = candidates
         .iter()
         .copied()
@@ -200,7 +201,7 @@ pub(crate) fn find_rest(
         *votes.entry(around.labels[i]).or_default() += 1;
     }
     let most = votes.iter().max_by_key(|v| (*v.1, std::cmp::Reverse(*v.0))).map_or(0, |v| *v.0);
-    // The floor of a thin dish lies millimetres over the plane, and its content rests on the dish.
+    // The floor of a thin dish lies only millimetres above the plane, but its content rests on the dish.
     if most == sms_core::BACKGROUND
         && let Some(h) = support
     {
@@ -212,8 +213,8 @@ pub(crate) fn find_rest(
     if most == sms_core::BACKGROUND {
         return rest(plane, Carrier::Environment, &members);
     }
-    // The seen part of an object's top beside its load is often a strip, which tells little of its lean. A lean seen on
-    // all sides is real.
+    // The seen part of a top beside its load is often a strip, which says little about its tilt. A tilt seen on all
+    // sides is real.
     let level = Plane::horizontal(median(members.iter().map(|&i| around.points[i].z).collect()));
     let off = scatter(&level, &members);
     let mut seen = [false; SECTORS];
@@ -227,9 +228,10 @@ pub(crate) fn find_rest(
     rest(if is_level { level } else { plane }, Carrier::Object(most), &members)
 }
 
-/// A top with half of its points within this height of their middle, metres, is level where it leans less than this,
-/// radians: if it was seen in this number of directions and its points scatter as much about the leaning plane, or at
-/// most this many times less; if it was seen as a strip on few sides, where it leans less than the last value.
+/// Limits for a level top. Half of its points lie within this height of their middle, metres, and its tilt is less than
+/// this, radians. A top that was seen in this number of directions is level unless its points scatter more than this
+/// many times less about the tilted plane. A top that was seen as a strip on few sides is level if its tilt is less
+/// than the last value.
 const LEVEL_M: f64 = 0.002;
 const LEANS: f64 = 0.09;
 const ALL_ROUND: usize = 6;
@@ -237,9 +239,10 @@ const CLEARER: f64 = 1.5;
 const NOISE_M: f64 = 5e-4;
 const STRIP_LEANS: f64 = 0.2;
 
-/// The object below a foot of which cameras see the sides alone (an open bin under a board), and the height of the foot.
+/// Returns the object below a foot if cameras see only the sides of that object (an open bin under a board), and the
+/// height of the foot.
 fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> Option<(u16, f64)> {
-    /// Points of sides, and those of them that have a label.
+    /// Smallest number of points of sides, and of those with a label.
     const LEAST: usize = 50;
     const LEAST_LABELLED: usize = 25;
     let end = lower_end(points);
@@ -258,7 +261,8 @@ fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> 
     }
     let may_carry = |p: &DVec3| p.z < end + ENDS_M && is_there(p);
     let lost: Vec<DVec3> = around.lost_sides.iter().map(|(p, _)| *p).filter(may_carry).collect();
-    // A load on the object is over its foot, too; an object as wide as the foot may be its own lower part.
+    // A load on the object is also above its foot. An object as wide as the foot may be a lower part of the same
+    // object.
     let ends = |(carrier, labelled): (u16, Vec<DVec3>)| {
         let high = |of: &[DVec3]| quantile(of.iter().map(|p| p.z).collect(), 0.95);
         if labelled.len() < LEAST_LABELLED || high(&labelled) > end + ENDS_M {
@@ -284,8 +288,8 @@ fn carrier_by_its_sides(points: &[DVec3], label: u16, around: &Surroundings) -> 
     Some((most.1, end))
 }
 
-/// Where an object ends below: where there begin to be as many points as usual for its lower half. Strays of its label lie up to
-/// centimetres lower.
+/// Returns the lower end of an object: the height from which on there are as many points as usual for its lower half.
+/// Stray points with its label lie up to centimetres lower.
 fn lower_end(points: &[DVec3]) -> f64 {
     const BIN_M: f64 = 0.002;
     const MOST_BINS: usize = 5000;
@@ -303,33 +307,33 @@ fn lower_end(points: &[DVec3]) -> f64 {
     median(heights.into_iter().filter(|&z| bin(z) == first as f64).collect())
 }
 
-/// Sides of a carrier are searched this far below an object's end, and end within these distances below and above it,
-/// metres. The object's foot is larger than their outline by this factor.
+/// Sides of a carrier are searched this far below an object's end, and must end within these distances below and above
+/// it, metres. The object's foot must be larger than their outline by this factor.
 const SIDES_M: f64 = 0.04;
 const STRIP_M: f64 = 0.012;
 const ENDS_M: f64 = 0.005;
 const WIDER: f64 = 1.5;
-/// Surface that looks up or down by less than this (cosine of the angle to the vertical) may be a side: a level surface
-/// is the table beside an object, or the underside of its load.
+/// Surface that faces up or down by less than this may be a side (cosine of the angle to the vertical). A more level
+/// surface is the table beside an object, or the underside of its load.
 pub(crate) const UPRIGHT: f64 = 0.7;
-/// Sides look up or down by less than this (cosine of the angle to the vertical).
+/// Sides face up or down by less than this (cosine of the angle to the vertical).
 pub(crate) const SIDE: f64 = 0.5;
-/// Unlabelled sides this near to an object's, metres, are its own.
+/// Unlabelled sides this close to those of an object belong to it, metres.
 const CONTINUES_M: f64 = 0.03;
 
-/// Horizontal reach of the surroundings of the foot, metres.
+/// Horizontal radius of the surroundings of the foot, metres.
 const NEXT_TO_FOOT_M: f64 = 0.015;
 
-/// Sectors about the vertical.
+/// Number of sectors about the vertical.
 pub(crate) const SECTORS: usize = 8;
 
-/// Which of the [`SECTORS`] a horizontal direction lies in.
+/// Returns which of the [`SECTORS`] contains a horizontal direction.
 pub(crate) fn sector(out: DVec3) -> usize {
     let turn = (out.y.atan2(out.x) / std::f64::consts::TAU).rem_euclid(1.0);
     ((turn * SECTORS as f64) as usize).min(SECTORS - 1)
 }
 
-/// Returns the object whose level surface is seen next to a foot in most directions, if it is an object's.
+/// Returns the label that most directions around a foot see as level surface, if it is the label of an object.
 fn surrounding_object(next_to_foot: &[usize], around: &Surroundings, center: DVec3) -> Option<u16> {
     /// Directions that must agree.
     const MOST: usize = 5;
@@ -346,8 +350,9 @@ fn surrounding_object(next_to_foot: &[usize], around: &Surroundings, center: DVe
     votes.into_iter().find(|&(label, n)| n >= MOST && label != sms_core::BACKGROUND).map(|(label, _)| label)
 }
 
-/// Height of an object's surface right below a ball that lies on it or in its hollow, where the ball hides it: a
-/// paraboloid through the seen level parts around the ball's foot. `None` where too little was seen.
+/// Returns the height of an object's surface right below a ball on it or in its hollow. The ball hides this place: the
+/// height is that of a paraboloid through the seen level parts around the ball's foot. Returns `None` if too little was
+/// seen.
 pub(crate) fn height_below_ball(
     around: &Surroundings,
     carrier: u16,
@@ -367,20 +372,20 @@ pub(crate) fn height_below_ball(
             count += 1;
         }
     }
-    // A millionth keeps a ring of points, whose height and curvature cannot be told apart, from exploding.
+    // A damping of one millionth regularizes a ring of points, for which height and curvature are not separable.
     let damped = normal + DMat4::from_diagonal(DVec4::splat(1e-6 * f64::from(count)));
     (count as usize >= LEAST).then(|| center.z + (damped.inverse() * right).x)
 }
 
-/// Height of the plane over the horizontal position of `p`; `None` for a vertical plane.
+/// Returns the height of the plane at the horizontal position of `p`; `None` for a vertical plane.
 pub(crate) fn height_at(plane: &Plane, p: DVec3) -> Option<f64> {
     (plane.normal.z.abs() > 1e-6)
         .then(|| (plane.offset - plane.normal.x * p.x - plane.normal.y * p.y) / plane.normal.z)
 }
 
-/// Planes within 40° of level compete for the surface seen around the object's foot. Planes that the object would reach
-/// through lose, and among ambiguous ones (a foot amid clutter) the object's own upright axis decides: objects stand
-/// along it.
+/// Fits a plane within 40° of level to the surface seen around the object's foot. Planes that would cut through the
+/// object score lower. If several planes fit (a foot amid clutter), the object's own upright axis decides, because
+/// objects stand along it.
 fn fit_level_plane(
     candidates: &[usize],
     around: &Surroundings,
@@ -425,7 +430,7 @@ fn fit_level_plane(
     let members = |plane: &Plane| -> Vec<usize> {
         candidates.iter().copied().filter(|&i| plane.height(at(i)).abs() < REACH).collect()
     };
-    // A plane that only a minority agrees on would turn towards the clutter when refined.
+    // Refining a plane with only a minority of inliers would turn it towards the clutter.
     if near > 0.5 * candidates.len() as f64 {
         for _ in 0..2 {
             let points: Vec<DVec3> = members(&plane).iter().map(|&i| at(i)).collect();
@@ -436,7 +441,8 @@ fn fit_level_plane(
     Some((plane, members))
 }
 
-/// The principal axis of an object that is within 30° of vertical and clearly longer or shorter than the others.
+/// Returns the principal axis of an object if it is within 30° of the vertical and clearly longer or shorter than the
+/// others.
 fn upright_axis(object: &[DVec3]) -> Option<DVec3> {
     let (moments, _) = scatter(object.iter().map(|&p| (p, 1.0)))?;
     let (values, vectors) = principal_axes(moments)?;
@@ -493,7 +499,7 @@ mod tests {
 
     #[test]
     fn a_strip_of_a_top_says_nothing_of_how_it_leans() {
-        // 3 cm beside the box, leaning by 4° as grazing depth has it.
+        // 3 cm beside the box, with a tilt of 4°, as grazing depth produces.
         let lean = |p: DVec3| p.with_z(0.45 + 0.07 * (p.x - 0.12));
         let rest = rest_of_box(&seen(grid([0.105, 0.135], [-0.1, 0.1]).map(lean), DVec3::Z));
         assert_eq!((rest.carrier, rest.plane.normal), (Carrier::Object(STOOL), DVec3::Z));
@@ -501,7 +507,7 @@ mod tests {
         let steeper = |p: DVec3| p.with_z(0.45 + 0.15 * (p.x - 0.12));
         let rest = rest_of_box(&seen(grid([0.105, 0.135], [-0.1, 0.1]).map(steeper), DVec3::Z));
         assert_eq!((rest.carrier, rest.plane.normal), (Carrier::Object(STOOL), DVec3::Z));
-        // Small, and seen all round, a board leans as well.
+        // A small board that was seen on all sides may also be tilted.
         let small: Vec<DVec3> = sides_of_box()
             .iter()
             .map(|p| p.with_z(0.45 + 0.25 * (p.z - 0.45)) * DVec3::new(0.25, 0.25, 1.0))
@@ -514,7 +520,7 @@ mod tests {
         assert!((rest.plane.normal.x + 0.07).abs() < 0.01, "{}", rest.plane.normal);
         let rest = find_rest(&small, BOX, &seen(all_round(0.003), DVec3::Z), Some(0.0), Seed(3));
         assert_eq!(rest.plane.normal, DVec3::Z);
-        // A board that leans as much was seen all round.
+        // A board with the same tilt was seen on all sides.
         let sloping = grid([-0.13, 0.13], [-0.13, 0.13]).map(|p| p.with_z(0.45 + 0.07 * p.x));
         let rest = rest_of_box(&seen(sloping, DVec3::Z));
         assert!((rest.plane.normal.x + 0.07).abs() < 0.01, "{}", rest.plane.normal);
@@ -531,28 +537,29 @@ mod tests {
         let rest = rest_of_box(&seen(bin(), DVec3::X));
         assert_eq!(rest.carrier, Carrier::Object(STOOL));
         assert!((rest.plane.offset - 0.452).abs() < 1e-9, "{}", rest.plane.offset);
-        // Strays below it say nothing.
+        // Stray points below the box are ignored.
         let strays = (0..40).map(|k| DVec3::new(0.0, 0.0, 0.43 + 5e-4 * f64::from(k)));
         let strayed: Vec<DVec3> = sides_of_box().into_iter().chain(strays).collect();
         assert!((lower_end(&strayed) - 0.452).abs() < 1e-3, "{}", lower_end(&strayed));
-        // A rim that no label has, above walls that end too low; few labels, however much is beside them.
+        // An unlabelled rim above walls that end too low; too few labels are not enough, regardless of the surface
+        // beside them.
         let dark = |labelled: usize| {
             let mut around = seen(wall(-0.08, 0.43).chain(wall(0.08, 0.43)).take(labelled), DVec3::X);
             around.lost_sides = wall(-0.08, 0.451).chain(wall(0.08, 0.451)).map(|p| (p, DVec3::X)).collect();
             rest_of_box(&around).carrier
         };
         assert_eq!((dark(160), dark(20)), (Carrier::Object(STOOL), Carrier::Unseen));
-        // A rim that the reconstruction alone saw; of another object it is none.
+        // A rim that only the reconstruction contains. A rim of another object does not count.
         let thin = |label: u16| {
             let mut around = seen(wall(-0.08, 0.43).chain(wall(0.08, 0.43)), DVec3::X);
             around.own_sides = wall(-0.08, 0.451).chain(wall(0.08, 0.451)).map(|p| (p, label)).collect();
             rest_of_box(&around).carrier
         };
         assert_eq!((thin(STOOL), thin(7)), (Carrier::Object(STOOL), Carrier::Unseen));
-        // An object as wide as the box may be its own lower part.
+        // An object as wide as the box may be its lower part.
         let whole = || wall(-0.1, 0.451).chain(wall(0.1, 0.451)).map(|p| p * DVec3::new(1.0, 1.4, 1.0));
         assert_eq!(rest_of_box(&seen(whole(), DVec3::X)).carrier, Carrier::Unseen);
-        // An object that reaches up into the box (with its mask), or stands beside it, carries nothing.
+        // An object that extends up into the box (with the box's mask), or stands beside it, carries nothing.
         for other in [wall(0.0, 0.5), wall(0.0, 0.468), wall(0.14, 0.451)] {
             assert_eq!(rest_of_box(&seen(other, DVec3::X)).carrier, Carrier::Unseen);
         }

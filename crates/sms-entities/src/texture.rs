@@ -1,7 +1,7 @@
-//! Pictures on meshes, baked from the frames.
+//! Textures on meshes, baked from the frames.
 //!
-//! Every triangle gets its own corner of an atlas, two to a square, as large as it is on the surface: no seam can open and
-//! any mesh can be unwrapped. A texel is the mean of the few views that see its place best.
+//! Every triangle gets half of a square of the atlas, as large as the triangle is on the surface. Seams cannot open,
+//! and any mesh can be unwrapped. A texel is the mean of the few views that see its surface point best.
 
 use crate::EntitySet;
 use crate::config::TextureConfig;
@@ -15,14 +15,14 @@ use sms_frames::Sequence;
 const PAD: usize = 1;
 /// Least cosine between a surface and the direction to a camera that colours it.
 const LEAST_FACING: f64 = 0.2;
-/// Least agreement (cosine) of a vertex normal with its face for the surface to count as smooth there.
+/// A surface is smooth at a vertex if the cosine between the vertex normal and the face normal is at least this.
 const SHARP: f64 = 0.9;
 /// Smallest square, texels.
 const LEAST_SIDE: usize = 6;
 
-/// Bakes a picture onto the mesh of every object from the frames that saw it. `colors` are the frames' colour images at
-/// any size, parallel to the sequence's frames; where there is none, the frame's own is used. Unseen places keep their
-/// vertex colours.
+/// Bakes a texture for the mesh of every object from the frames that saw it. `colors` are the frames' colour images at
+/// any size, parallel to the sequence's frames; a missing image is replaced by the frame's own. Unseen places keep
+/// their vertex colours.
 pub fn bake_textures(
     set: &mut EntitySet,
     sequence: &Sequence,
@@ -41,7 +41,7 @@ pub fn bake_textures(
         .map(|(f, frame)| colors.get(f).and_then(Option::as_ref).unwrap_or(&frame.color))
         .collect();
     for entity in &mut set.entities {
-        // The environment has vertex colours only: they are as fine as its voxels.
+        // The environment has only vertex colours: they are as fine as its voxels.
         let is_object = entity.kind == EntityKind::Dynamic || entity.label != sms_core::BACKGROUND;
         if is_object && !entity.mesh.triangles.is_empty() {
             entity.texture = Some(bake(entity, &views, &images, config));
@@ -49,18 +49,18 @@ pub fn bake_textures(
     }
 }
 
-/// Where two triangles lie in the atlas.
+/// Position of two triangles in the atlas.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Square {
     x: usize,
     y: usize,
     side: usize,
-    /// In the lower left half, and in the upper right half.
+    /// Triangles in the lower left half and in the upper right half.
     triangles: [Option<usize>; 2],
 }
 
 impl Square {
-    /// Corners of the triangle of `half` in atlas pixels.
+    /// Returns the corners of the triangle of `half` in atlas pixels.
     fn corners(&self, half: usize) -> [[f64; 2]; 3] {
         let (x, y, s) = (self.x as f64, self.y as f64, self.side as f64);
         let (near, leg) = (PAD as f64, s - 4.0 * PAD as f64);
@@ -78,7 +78,7 @@ fn longest_edge(mesh: &Mesh, t: usize) -> f64 {
     a.distance(b).max(b.distance(c)).max(c.distance(a))
 }
 
-/// Squares for all triangles and the atlas's size.
+/// Returns squares for all triangles and the size of the atlas.
 fn pack(mesh: &Mesh, config: &TextureConfig) -> (Vec<Square>, usize, usize) {
     let mut texel = config.texel_m;
     loop {
@@ -151,7 +151,8 @@ fn bake(entity: &Entity, views: &Views, images: &[&ColorImage], config: &Texture
     MeshTexture { corner_uv, image }
 }
 
-/// Weights of a triangle's corners at a point; outside of the triangle those of the nearest point on its rim, roughly.
+/// Returns the weights of a triangle's corners at a point. Outside the triangle they are approximately those of the
+/// nearest point on its boundary.
 fn barycentric([x, y]: [f64; 2], [a, b, c]: [[f64; 2]; 3]) -> [f64; 3] {
     let (ab, ac, ap) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]], [x - a[0], y - a[1]]);
     let area = ab[0] * ac[1] - ab[1] * ac[0];
@@ -162,7 +163,7 @@ fn barycentric([x, y]: [f64; 2], [a, b, c]: [[f64; 2]; 3]) -> [f64; 3] {
     weights.map(|k| k / sum)
 }
 
-/// Inputs of an object's picture.
+/// Inputs of an object's texture.
 struct Baker<'a> {
     entity: &'a Entity,
     /// Normals of the mesh's vertices.
@@ -173,7 +174,7 @@ struct Baker<'a> {
 }
 
 impl Baker<'_> {
-    /// Colour of a place on triangle `t`: the mean of the views that see it most squarely and from nearest.
+    /// Returns the colour at a point of triangle `t`: the mean of the closest and most frontal views.
     fn color_at(&self, t: usize, weights: [f64; 3]) -> [u8; 3] {
         let Self { entity, normals, views, images, config } = self;
         let triangle = entity.mesh.triangles[t];
@@ -182,9 +183,9 @@ impl Baker<'_> {
         let smooth =
             (0..3).map(|k| normals[triangle[k] as usize] * weights[k]).sum::<DVec3>().normalize_or_zero();
         let flat = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
-        // At a sharp edge the mean of both faces would choose views of the other one.
+        // At a sharp edge, the mean of both normals would choose views of the other face.
         let n = if smooth.dot(flat) < SHARP { flat } else { smooth };
-        // The few best: quality and colour, best first.
+        // The best views: quality and colour, best first.
         const MOST: usize = 8;
         let keep = config.views.clamp(1, MOST);
         let mut best = [(0.0f64, [0.0f64; 3]); MOST];
@@ -251,7 +252,7 @@ mod tests {
     use sms_frames::Frame;
 
     proptest! {
-        /// Squares do not overlap, and lie inside the atlas; corners lie inside their square, halves apart.
+        /// Squares lie inside the atlas without overlap. Corners lie inside their square, and its halves are apart.
         #[test]
         fn triangles_keep_to_their_places(levels in 0usize..4, texel in 0.0005..0.02f64, stretch in 1.0..9.0f64) {
             let mut mesh = Mesh::icosphere(0.05, levels);
@@ -285,7 +286,7 @@ mod tests {
         }
     }
 
-    /// A square plate under a camera that looks straight down on a picture of four colours.
+    /// A square plate below a camera that looks straight down at four colours.
     #[test]
     fn a_plate_gets_the_picture_that_the_camera_saw() {
         let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0, width: 100, height: 100 };

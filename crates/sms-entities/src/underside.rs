@@ -1,5 +1,4 @@
-//! Downward faces: contact areas that no camera saw, and points at the edge between two objects that have the wrong
-//! label.
+//! Downward faces: unseen contact areas, and points with the wrong label at the edge between two objects.
 
 use crate::draft::Draft;
 use crate::support::{Carrier, RestingPlane, SIDE};
@@ -12,9 +11,9 @@ use sms_mesh::{
     quantile,
 };
 
-/// Returns points on the resting plane, a `spacing` apart, where the object's foot may touch it: inside the outline of
-/// the object's lowest part, and where no camera saw the plane itself. Without any such place, the surroundings of the
-/// lowest point.
+/// Returns points on the resting plane, a `spacing` apart, where the object's foot may touch it. They lie inside the
+/// outline of the object's lowest part, at places where no camera saw the plane. If there is no such place, returns the
+/// surroundings of the lowest point.
 pub(crate) fn contact_points(
     cloud: &PointCloud,
     rest: &RestingPlane,
@@ -41,7 +40,7 @@ pub(crate) fn contact_points(
         .collect();
     let outline = convex_outline(&foot);
     let on_plane = |s: f64, t: f64| u * s + v * t + plane.normal * plane.offset;
-    // Under a table's top cameras look from the side: where they look past the object there is none of it.
+    // Cameras look under a table from the side: where they see past the object, there is no foot.
     let is_open = |p: DVec3| {
         UNDER_SHARES.iter().any(|share| is_looked_past(views, p + plane.normal * (share * top), label))
     };
@@ -85,11 +84,11 @@ pub(crate) fn contact_points(
     points
 }
 
-/// Sides continue others within this distance, metres, whose normals are within 60°.
+/// A side continues another one within this distance, metres, if their normals are within 60°.
 const CONTINUES_M: f64 = 0.02;
 
-/// The plane on which an object stands and the index of its carrier. Balls are excluded: they touch at a point, and
-/// their labels bleed differently.
+/// Returns the plane on which an object stands and the index of its carrier. Balls are excluded: they touch at a point,
+/// and their labels bleed differently.
 fn carried(drafts: &[Draft], upper: usize) -> Option<(Plane, usize)> {
     let RestingPlane { plane, carrier: Carrier::Object(carrier), .. } = drafts[upper].rest else {
         return None;
@@ -98,8 +97,8 @@ fn carried(drafts: &[Draft], upper: usize) -> Option<(Plane, usize)> {
     drafts[upper].sphere.is_none().then_some((plane, lower))
 }
 
-/// Moves sides below the face on which an object stands to its carrier. Masks err by centimetres where a camera saw
-/// both edges behind each other, and the height of its sides tells where a carrier's edge is.
+/// Moves sides below a supporting face from the upper object to its carrier. Masks err by centimetres where a camera
+/// saw both edges behind each other; the height of the sides gives the true edge of the carrier.
 pub(crate) fn return_sides(drafts: &mut [Draft]) {
     for upper in 0..drafts.len() {
         let below = std::mem::take(&mut drafts[upper].below);
@@ -115,18 +114,19 @@ pub(crate) fn return_sides(drafts: &mut [Draft]) {
     }
 }
 
-/// Points at most this far below and above the face on which an object stands, metres, that look down at least this
-/// steeply (cosine), and lie within its outline from above or this near to it, metres, are its underside …
+/// Points belong to an object's underside if they are at most this far below and above its supporting face, metres,
+/// have normals at least this close to straight down (cosine), and lie within the object's outline from above or this
+/// close to it, metres.
 const UNDERSIDE_M: [f64; 2] = [0.0025, 0.004];
 const LOOKS_DOWN: f64 = 0.8;
 const BESIDE_M: f64 = 0.01;
-/// … unless this near to an upward surface of the carrier, metres.
+/// Points this close to an upward surface of the carrier are excluded, metres.
 const SHEET_M: f64 = 0.008;
-/// Least number of points of an object.
+/// Smallest number of points of an object.
 const FEWEST: usize = 20;
 
-/// Moves undersides that masks gave to the carrier back to the object. The carrier ends at that height and has no
-/// downward surface there; a few such points would extend its top to them.
+/// Moves undersides that masks assigned to the carrier back to the object. The carrier ends at that height and has no
+/// downward surface there; a few such points would extend its top.
 pub(crate) fn return_undersides(drafts: &mut [Draft]) {
     for upper in 0..drafts.len() {
         let Some((plane, lower)) = carried(drafts, upper) else { continue };
@@ -157,11 +157,11 @@ pub(crate) fn return_undersides(drafts: &mut [Draft]) {
     }
 }
 
-/// Heights over a possible contact point, as shares of the object's height, that cameras may look through.
+/// Heights above a possible contact point where free space is tested, as shares of the object's height.
 const UNDER_SHARES: [f64; 4] = [0.0, 0.1, 0.2, 0.35];
 
-/// Whether cameras see another surface than the object at a point, or look through it past the object. The inside of a
-/// bowl is looked through, too, but there the object itself is behind it.
+/// Returns whether cameras see a surface of another object at a point, or see through it past the object. Cameras also
+/// see through the inside of a bowl, but see the bowl itself behind it.
 fn is_looked_past(views: &Views, p_w: DVec3, label: u16) -> bool {
     let frames = views.sequence.frames.len();
     let needed = if frames < 6 { 1 } else { 2 };
@@ -173,7 +173,7 @@ fn is_looked_past(views: &Views, p_w: DVec3, label: u16) -> bool {
     (0..frames).filter(past).take(needed).count() >= needed
 }
 
-/// Points along the outline about `spacing` apart.
+/// Returns points along the outline about `spacing` apart.
 fn resample(outline: &[DVec2], spacing: f64) -> Vec<DVec2> {
     let mut out = Vec::new();
     for i in 0..outline.len() {
@@ -211,7 +211,7 @@ mod tests {
         let board: Vec<_> = (0..30).map(side(0.506, DVec3::X)).collect();
         let mut drafts =
             [draft(1, rest(0.0, Carrier::Floor), &bin), draft(2, rest(0.5, Carrier::Object(1)), &board)];
-        // The bin's rim; a point in the air beside it; a point with another normal.
+        // The rim of the bin; a point in the air beside it; a point with another normal.
         let rim: Vec<_> = (0..30).map(side(0.485, DVec3::X)).collect();
         let others = [(DVec3::new(0.3, 0.0, 0.485), DVec3::X), (DVec3::new(0.0, 0.05, 0.48), DVec3::NEG_X)];
         let labelled: Vec<_> = rim.iter().chain(&others).copied().collect();
@@ -233,13 +233,14 @@ mod tests {
             noise_m: 1e-3,
         };
         let board: Vec<_> = (0..40).map(row(0.512, DVec3::Z)).collect();
-        // A stool's side and top, 5 cards of the board's underside, the lip of its own seat 2 cm lower, and a shelf beside the board.
+        // A stool: its side and top, 5 points of the board's underside, the edge of its seat 2 cm lower, and a shelf
+        // beside the board.
         let mut stool: Vec<_> =
             (0..30).map(row(0.45, DVec3::X)).chain((0..8).map(row(0.5, DVec3::Z))).collect();
         stool.extend((20..25).map(row(0.501, DVec3::NEG_Z)));
         let lip: Vec<_> = (8..12).map(row(0.48, DVec3::NEG_Z)).collect();
         let shelf: Vec<_> = (60..64).map(row(0.5, DVec3::NEG_Z)).collect();
-        // A sheet of 1 mm, from both sides.
+        // A sheet of 1 mm, seen from both sides.
         let sheet: Vec<_> = (30..34).map(row(0.499, DVec3::NEG_Z)).collect();
         let sheet: Vec<_> = sheet.into_iter().chain((30..34).map(row(0.5, DVec3::Z))).collect();
         stool.extend(lip.iter().chain(&shelf).chain(&sheet));

@@ -1,16 +1,16 @@
-//! Visibility of points in space: on the surface, in free space, hidden.
+//! Visibility of points: on a surface, in free space, or hidden.
 
 use glamx::DVec3;
 use sms_core::{BACKGROUND, Labels};
 use sms_frames::Sequence;
 use sms_mesh::{PixelUse, median};
 
-/// How one frame sees a point.
+/// Visibility of a point in one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Sight {
-    /// The measured surface is at the point; the label there.
+    /// The measured surface is at the point, with this label.
     Surface(u16),
-    /// The camera looks through the point at something farther away.
+    /// The camera sees something farther away through the point.
     Free,
     /// Something nearer hides it.
     Hidden,
@@ -24,13 +24,13 @@ pub(crate) struct Views<'a> {
     pub(crate) labels: &'a Labels,
 }
 
-/// Depth noise (one standard deviation, metres) expected at depth `z`: that of common stereo and structured-light
-/// cameras. It grows with the square of depth.
+/// Returns the expected depth noise (one standard deviation, metres) at depth `z` for common stereo and
+/// structured-light cameras. It grows with the square of depth.
 pub(crate) fn depth_sigma(z: f64) -> f64 {
     0.0008 + 0.0015 * z * z
 }
 
-/// Difference in depth beyond which two surfaces are told apart, metres.
+/// Returns the difference in depth that separates two surfaces, metres.
 pub(crate) fn depth_tolerance(z: f64) -> f64 {
     (3.0 * depth_sigma(z)).max(0.004)
 }
@@ -38,18 +38,18 @@ pub(crate) fn depth_tolerance(z: f64) -> f64 {
 /// Totals over all frames.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct SightCount {
-    /// Frames that measure a surface there with the label asked for.
+    /// Number of frames that measure a surface with the given label.
     pub(crate) own: usize,
-    /// Frames that measure a surface there with another label.
+    /// Number of frames that measure a surface with another label.
     pub(crate) other: usize,
-    /// Frames that look through.
+    /// Number of frames that see through the point.
     pub(crate) free: usize,
-    /// Sum of unit directions from the point to the cameras that measure a surface there.
+    /// Sum of unit directions from the point to the cameras that measure a surface.
     pub(crate) towards: DVec3,
 }
 
 impl Views<'_> {
-    /// How frame `f` sees `p_w`; `slack` widens the tolerance, in metres.
+    /// Returns the visibility of `p_w` in frame `f`; `slack` (metres) widens the tolerance.
     pub(crate) fn sight(&self, f: usize, p_w: DVec3, slack: f64) -> Sight {
         let frame = &self.sequence.frames[f];
         let Some((u, v, z)) = frame.camera.project(p_w) else { return Sight::Unknown };
@@ -68,14 +68,14 @@ impl Views<'_> {
         }
     }
 
-    /// The label of the pixel that `p_w` projects to in frame `f`, whatever is in front of or behind it.
+    /// Returns the label of the pixel that `p_w` projects to in frame `f`, without a depth test.
     pub(crate) fn label_at(&self, f: usize, p_w: DVec3) -> Option<u16> {
         let (u, v, _) = self.sequence.frames[f].camera.project(p_w)?;
         let (x, y) = self.sequence.frames[f].camera.pixel_at(u, v)?;
         Some(self.labels.maps[f][(x, y)])
     }
 
-    /// How all frames see `p_w`, for an object with this label.
+    /// Counts over all frames how they see `p_w`, for an object with this label.
     pub(crate) fn count(&self, p_w: DVec3, label: u16) -> SightCount {
         let mut count = SightCount::default();
         for f in 0..self.sequence.frames.len() {
@@ -96,8 +96,8 @@ impl Views<'_> {
         count
     }
 
-    /// Whether no frame sees a surface with this label at `p_w`, and most see a nearer one. Surfaces without depth
-    /// (glass) may be there.
+    /// Returns whether most frames see a nearer surface than `p_w`, and none sees a surface with this label at `p_w`.
+    /// Surfaces without depth (glass) may be there.
     pub(crate) fn is_inside(&self, p_w: DVec3, label: u16) -> bool {
         let frames = self.sequence.frames.len();
         let mut hidden = 0;
@@ -111,8 +111,8 @@ impl Views<'_> {
         2 * hidden > frames
     }
 
-    /// The use of each pixel of frame `f` for the surface that no label explains: the pixel and its neighbours are
-    /// unlabelled; no pixel at an edge of depth counts.
+    /// Returns the use of each pixel of frame `f` for the unlabelled surface. Only pixels with unlabelled neighbours
+    /// and without a depth edge are used.
     pub(crate) fn unlabelled_pixels(&self, f: usize) -> Vec<PixelUse> {
         let frame = &self.sequence.frames[f];
         let (width, height) = frame.depth.size();
@@ -139,8 +139,8 @@ impl Views<'_> {
             .collect()
     }
 
-    /// Median signed distance along `normal` from `p_w` to the surface that frames measure at its pixel, over frames
-    /// that label it `label`; `None` with fewer than `min_frames`.
+    /// Returns the median signed distance along `normal` from `p_w` to the surface measured at its pixel, over frames
+    /// that label the pixel `label`. Returns `None` with fewer than `min_frames`.
     pub(crate) fn surface_offset(
         &self,
         p_w: DVec3,
@@ -155,12 +155,12 @@ impl Views<'_> {
             let Some((x, y)) = frame.camera.pixel_at(u, v) else { continue };
             let depth = f64::from(frame.depth[(x, y)]);
             let towards = (frame.camera.center_w() - p_w).normalize_or_zero();
-            // At a grazing view a pixel's width turns into a large error along the normal.
+            // In a grazing view, one pixel causes a large error along the normal.
             if depth <= 0.0 || self.labels.maps[f][(x, y)] != label || towards.dot(normal) < 0.35 {
                 continue;
             }
-            // The measured point belongs to the pixel's centre: carry it to p's own ray along the tangent plane by
-            // comparing along the normal only.
+            // The measured point belongs to the centre of the pixel. Comparing only along the normal moves it along the
+            // tangent plane to the ray of `p_w`.
             let measured = frame.camera.unproject_pixel(x, y, depth);
             let offset = (measured - p_w).dot(normal);
             if offset.abs() < limit {
@@ -178,7 +178,7 @@ mod tests {
     use sms_core::{Camera, Image, Intrinsics, LabelMap, MaskSource};
     use sms_frames::Frame;
 
-    /// Cameras 1 m over a plate of label 1 in the left half of their images, which have no depth beyond `width`.
+    /// Cameras 1 m above a plate with label 1 in the left half of their images. There is no depth beyond `width`.
     fn over_plate(cameras: usize, width: usize) -> (Sequence, Labels) {
         let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0, width: 100, height: 100 };
         let frame = |index: usize| Frame {

@@ -1,4 +1,4 @@
-//! Defective scans: each gives a valid body or a warning that names the object, never a panic.
+//! Defective scans: each gives a valid body or a warning that names the object, and never panics.
 
 use crate::common::*;
 use rand::RngExt;
@@ -10,7 +10,7 @@ use sms_core::{
 use sms_entities::{EntitiesConfig, EntitiesError, EntitySet, MeshRule, build_entities, mesh_cloud};
 use sms_mesh::{ConvexConfig, convex_parts};
 
-/// Whether a mesh is a solid of finite, positive volume whose mass properties exist.
+/// Returns whether a mesh is a solid of finite, positive volume with mass properties.
 fn is_solid(mesh: &Mesh) -> bool {
     mesh.vertices.iter().all(|v| v.is_finite())
         && mesh.is_closed_oriented()
@@ -37,7 +37,7 @@ fn check_body(entity: &Entity) {
     }
 }
 
-/// Builds with `config`; every label must have become a valid body or be named in a warning. Gives the messages too.
+/// Builds with `config`. Every label must become a valid body or be named in a warning. Returns the messages too.
 fn build_with(fixture: &Fixture, config: &EntitiesConfig) -> (EntitySet, Vec<String>) {
     let warnings = Warnings::new();
     let (model, sequence, labels) = (&fixture.model, &fixture.sequence, &fixture.labels);
@@ -76,7 +76,7 @@ fn prune() -> EntitiesConfig {
     EntitiesConfig { mesh: MeshRule::Prune, ..Default::default() }
 }
 
-/// The scan's usual sharpness, for small and thin things.
+/// An observation with the usual resolution of a scan, for small and thin objects.
 fn fine() -> Observation {
     Observation { frames: 8, width: 320, height: 240, pitch: 0.002, ..Observation::default() }
 }
@@ -85,7 +85,7 @@ fn entity(set: &EntitySet, label: u16) -> &Entity {
     set.entities.iter().find(|e| e.label == label).expect("it was left out")
 }
 
-/// Volume over that of the shape; parts, where there are any, must agree with it within `swell`.
+/// Returns the ratio of the volume to that of the shape. The volume of the parts, if any, must agree within `swell`.
 fn volume_ratio(set: &EntitySet, label: u16, shape: &Shape, swell: f64) -> f64 {
     let entity = entity(set, label);
     let ratio = entity.mesh.volume() / shape.volume;
@@ -141,7 +141,7 @@ fn three_points_and_few_pixels_are_refused_by_name() {
     assert_eq!(messages.iter().filter(|m| m.starts_with("object_not_seen")).count(), 5);
 }
 
-/// A ball of two pixels, and a box of four.
+/// A ball of two pixels and a box of four.
 #[test]
 fn objects_smaller_than_the_scan_resolves_keep_their_volume_within_a_third() {
     let how = Observation { frames: 6, distance: 1.2, ..Observation::default() };
@@ -171,7 +171,7 @@ fn gaussians_that_are_no_numbers_are_passed_over_and_such_depths_refused() {
     let (set, _) = build(&fixture);
     let ratio = volume_ratio(&set, 1, &objects[0], 1.1);
     assert!((ratio - 1.0).abs() < 0.05, "{ratio}");
-    // The same without Gaussians: its surface comes from its depth pixels.
+    // Without Gaussians, the surface comes from the depth pixels.
     fixture.model = sms_gaussians::GaussianModel::default();
     let (set, messages) = build(&fixture);
     assert!(messages.iter().any(|m| m.starts_with("few_gaussians")));
@@ -212,7 +212,7 @@ fn what_the_image_cuts_off_is_a_body_of_what_was_seen() {
         cylinder(DVec3::new(0.0, -0.3, 0.0), 0.05, 0.12),
     ];
     let how = Observation { frames: 6, arc: 0.5, elevation: Some(0.6), ..Observation::default() };
-    // An arc of cameras, then all at one place: of a cylinder's half they see a quarter of its wall.
+    // An arc of cameras, then all cameras at one place: they see a quarter of the wall of the half cylinder.
     for (seed, arc, least) in [(3, 0.5, 0.3), (4, 0.01, 0.1)] {
         let fixture = observe(&objects, &[], &Observation { arc, ..how }, seed);
         let (set, _) = build(&fixture);
@@ -273,7 +273,7 @@ fn one_inside_another_stay_two_bodies_and_the_hollow_stays_free() {
             let filled = entity(&set, 1).parts.iter().any(|part| is_within(part, p));
             assert!(!filled, "the hollow is filled at {p}");
         }
-        // Masks that do not know things from their pieces may join the two, and then say so.
+        // With masks from geometry, the two objects may be joined; a warning must then report it.
         fixture.labels.source = MaskSource::Geometry;
         build(&fixture);
     }
@@ -292,7 +292,7 @@ fn joined(a: PointCloud, b: PointCloud) -> PointCloud {
     }
 }
 
-/// Both whole surfaces, also where each lies within the other.
+/// Both complete surfaces, including the parts inside the other sphere.
 fn two_spheres() -> PointCloud {
     let sphere = |x: f64, seed| sample_surface_of(&ball(DVec3::X * x, 0.03), 0.07, 2500, 0.0003, 0.1, seed);
     joined(sphere(-0.015, 1), sphere(0.015, 2))
@@ -303,7 +303,7 @@ fn tangled_clouds_give_solids() {
     let r = 0.03;
     let plain = || sample_surface_of(&ball(DVec3::ZERO, r), 0.05, 3000, 0.0003, 0.1, 3);
     let volume = 4.0 / 3.0 * std::f64::consts::PI * r * r * r;
-    // Two balls at one radius from each other share a lens of 5/16 of one's volume.
+    // Two balls, each through the centre of the other, share a lens of 5/16 of a ball's volume.
     let spheres = (2.0 - 5.0 / 16.0) * volume;
     let mut rng = Seed(5).rng();
     let mut scattered = plain();
@@ -324,7 +324,7 @@ fn tangled_clouds_give_solids() {
     };
     let far = PointCloud { points_w: plain().points_w.iter().map(|&p| p + 1e4).collect(), ..plain() };
     let tiny = PointCloud { points_w: plain().points_w.iter().map(|&p| p * 1e-4).collect(), ..plain() };
-    // Expected volume and the relative error allowed; `None` where any solid within the cloud will do.
+    // Expected volume and the relative error allowed; `None` if any solid within the cloud is valid.
     let clouds = [
         ("two spheres", two_spheres(), Some((spheres, 0.08))),
         ("random normals", scattered, None),
@@ -365,7 +365,7 @@ fn clouds_that_are_no_numbers_or_do_not_match_give_nothing() {
     assert_eq!(with(&|c| c.normals_w.truncate(100)), None);
     assert_eq!(with(&|c| c.points_w.iter_mut().for_each(|p| *p = DVec3::ONE)), None);
     assert_eq!(with(&|c| c.points_w.iter_mut().for_each(|p| *p *= DVec3::X)), None);
-    // Squares of these overflow: refused or solid.
+    // The squares of these coordinates overflow: the mesher must return `None` or a solid.
     assert_eq!(with(&|c| c.points_w.iter_mut().for_each(|p| *p *= 1e200)).map(|m| m.volume()), None);
     assert_eq!(with(&|c| c.points_w[7] = DVec3::splat(1e6)).map(|m| m.volume()), None);
 }
@@ -396,7 +396,7 @@ fn parts_of_tangled_inverted_and_flat_meshes_are_solids() {
             .map(|(i, &[a, b, c])| if i % 2 == 0 { [a, b, c] } else { [a, c, b] })
             .collect(),
     );
-    // Two corners exchanged: faces pass through each other.
+    // Two corners are exchanged: faces intersect each other.
     let mut tangled = cube.clone();
     tangled.vertices.swap(0, 6);
     let sheet = Mesh::new(vec![DVec3::ZERO, DVec3::X, DVec3::ONE], vec![[0, 1, 2]]);
@@ -404,7 +404,7 @@ fn parts_of_tangled_inverted_and_flat_meshes_are_solids() {
         cube.vertices.iter().map(|&v| v * DVec3::new(1.0, 1.0, 0.0)).collect(),
         cube.triangles.clone(),
     );
-    // Volumes of the intended shapes, where they are plain.
+    // Volumes of the intended shapes, where known.
     let meshes = [
         ("interpenetrating", both(&cube, &moved(&cube, DVec3::splat(0.02))), Some(216e-6 * 2.0 - 64e-6)),
         (

@@ -1,4 +1,4 @@
-//! Dishes: a ball that falls into a scanned bowl stays in it.
+//! Dishes: a ball dropped into a scanned bowl stays in it.
 
 use crate::common::{Observation, observe, round_bowl};
 use sms_core::glamx::{DPose3, DVec3};
@@ -32,7 +32,7 @@ fn a_ball_dropped_into_a_scanned_bowl_stays_in_it() {
         }
     );
     let bottom = scene.bodies[bowl].x_wb.translation.with_z(0.0);
-    // From five places over the wall's slope.
+    // From five places above the slope of the wall.
     for (turn, out) in [(0.3, 0.045), (1.7, 0.04), (2.9, 0.05), (4.1, 0.03), (5.5, 0.05)] {
         let start = bottom + DVec3::new(out * f64::cos(turn), out * f64::sin(turn), height + 2.0 * r);
         let ball = Body {
@@ -61,8 +61,8 @@ fn a_ball_dropped_into_a_scanned_bowl_stays_in_it() {
                 ball.v_w.length(),
                 1e3 * moved
             );
-            // It lies in the bowl: inside the rim, on the bottom and not on the floor below it, and the bowl stands.
-            // (Sixteen parts are too few to bring it to the very middle.)
+            // The ball lies in the bowl: inside the rim, on the bottom and not on the floor below, and the bowl does
+            // not tip. (Sixteen parts are too few for the exact centre.)
             assert!(p.truncate().length() < 0.03, "{}: {p}", engine.engine());
             assert!(p.z - r > 0.001 && p.z - r < 0.02, "{}: {p}", engine.engine());
             let tilt = (dish.x_wb.rotation * DVec3::Z).angle_between(DVec3::Z);

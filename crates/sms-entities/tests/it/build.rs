@@ -1,4 +1,4 @@
-//! The whole stage on analytic scenes.
+//! The whole entities stage on analytic scenes.
 
 use crate::common::*;
 use proptest::prelude::*;
@@ -26,7 +26,7 @@ fn build(fixture: &Fixture) -> EntitySet {
     run(fixture, &EntitiesConfig::default(), &Warnings::new()).unwrap()
 }
 
-/// Whether a point lies in a convex part.
+/// Returns whether a point lies in a convex part.
 fn is_within(part: &Mesh, p: DVec3) -> bool {
     (0..part.triangles.len()).all(|t| {
         let [a, b, c] = part.corners(t);
@@ -37,7 +37,7 @@ fn is_within(part: &Mesh, p: DVec3) -> bool {
 #[test]
 fn analytic_shapes_come_back_with_their_volume() {
     let z = DVec3::ZERO;
-    // Volume error, mean surface error (mm): about 1.5 times the measured ones.
+    // Limits of the volume error and the mean surface error (mm): about 1.5 times the measured ones.
     let shapes = [
         (cuboid(z, DVec3::new(0.05, 0.035, 0.04), 0.3), 0.005, 0.1),
         (cylinder(z, 0.033, 0.1), 0.005, 0.1),
@@ -98,7 +98,8 @@ fn analytic_shapes_come_back_with_their_volume() {
     }
 }
 
-/// Deep in a mug no camera sees: the hollow goes on to a floor as thick as the wall, instead of being filled.
+/// No camera sees the floor of a deep mug. The hollow is continued to a floor as thick as the wall instead of being
+/// filled.
 #[test]
 fn a_deep_mug_is_hollow_to_its_floor() {
     let objects = [cup(DVec3::ZERO, 0.035, 0.11, 0.005)];
@@ -142,8 +143,7 @@ fn a_cup_keeps_its_hollow() {
 
 #[test]
 fn a_round_bowl_is_no_ball() {
-    // Its wall lies on a sphere, and more than half of its cloud with it; but cameras look through where the upper
-    // half would be.
+    // The wall and more than half of the cloud lie on a sphere, but cameras see through its upper half.
     let objects = [round_bowl(DVec3::ZERO, 0.07, 0.06, 0.005)];
     let entity = &build(&observe(&objects, &[], &Observation::default(), 5)).entities[0];
     assert!(matches!(entity.shape, EntityShape::Convex), "{:?}", entity.shape);
@@ -166,7 +166,8 @@ fn balls_are_found_as_spheres_whatever_they_are_called() {
 
 #[test]
 fn with_masks_from_geometry_scraps_are_joined_and_balls_stay_free() {
-    // The tower of the bracket carries a cap that the masks took for a thing of its own; a large ball hides its foot.
+    // The tower of the bracket carries a cap that is a separate object in the masks; a large ball hides the tower's
+    // foot.
     let tower = DVec3::new(-0.06, 0.0, 0.0);
     let objects = [
         cuboid(tower, DVec3::new(0.03, 0.03, 0.05), 0.0),
@@ -188,7 +189,7 @@ fn with_masks_from_geometry_scraps_are_joined_and_balls_stay_free() {
     );
 }
 
-/// A dish's floor may be thinner than the scatter that still counts as the floor below it.
+/// The floor of a dish may be thinner than the scatter of the floor below it.
 #[test]
 fn balls_in_dishes_rest_in_them() {
     let (thick, r) = (0.0025, 0.025);
@@ -212,7 +213,7 @@ fn balls_in_dishes_rest_in_them() {
             let ratio = set.entities[0].mesh.volume() / objects[0].volume;
             println!("{name}, {source:?}: volume × {ratio:.3}; {said:?}");
             assert!((0.9..1.1).contains(&ratio), "{name}: {ratio}");
-            // The dish's parts bear the ball from right below, and nothing of them is inside it.
+            // The parts of the dish support the ball from right below, and none of them is inside it.
             let parts = &set.entities[0].parts;
             let below = center_w - DVec3::Z * (radius + 0.0015);
             assert!(parts.iter().any(|p| is_within(p, below)), "{name}: nothing bears the ball");
@@ -249,7 +250,7 @@ fn unlabelled_walls_become_a_static_mesh_and_a_raised_box_stands_on_it() {
     println!("foot at {:.2} mm, environment {} faces", 1e3 * lowest, environment.mesh.triangles.len());
     assert!((lowest - 0.06).abs() < 1.5e-3, "{lowest}");
     assert!((object.mesh.volume() / objects[0].volume - 1.0).abs() < 0.05);
-    // It lies on the clutter, faces outwards, and has no hole under the box.
+    // The environment lies on the clutter, faces outwards, and has no hole under the box.
     let both = Shape {
         name: "clutter",
         volume: 0.0,
@@ -370,7 +371,7 @@ fn what_cannot_be_built_is_said() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(6))]
-    // Few frames, a narrow arc (no back, no underside), heavy noise: the mesh must still be a solid.
+    // The mesh must be a solid even with few frames, a narrow arc (no back, no underside) and strong noise.
     #[test]
     fn meshes_are_closed_whatever_was_seen(kind in 0usize..5, seed in 0u64..1000, arc in 0.5f64..6.3, prune in any::<bool>()) {
         let z = DVec3::ZERO;

@@ -7,7 +7,7 @@ use sms_core::{Camera, Image, Intrinsics, LabelInfo, Labels, MaskSource, Mesh, P
 use sms_frames::{Frame, Sequence};
 use sms_gaussians::{AFFINITY_DIM, GaussianModel};
 
-/// A signed distance to an object in the world, negative inside, with its exact volume.
+/// Signed distance to an object in the world, negative inside, with the object's exact volume.
 pub struct Shape {
     pub name: &'static str,
     pub sdf: Box<dyn Fn(DVec3) -> f64 + Sync>,
@@ -25,7 +25,7 @@ pub fn ball(center: DVec3, r: f64) -> Shape {
     Shape { name: "ball", sdf: Box::new(move |p| p.distance(center) - r), volume: 4.0 / 3.0 * PI * r * r * r }
 }
 
-/// A box standing at `foot`, turned about z by `yaw`.
+/// A box standing on `foot`, turned about z by `yaw`.
 pub fn cuboid(foot: DVec3, half: DVec3, yaw: f64) -> Shape {
     let turn = DQuat::from_rotation_z(-yaw);
     let center = foot + DVec3::Z * half.z;
@@ -45,8 +45,8 @@ pub fn cylinder(foot: DVec3, r: f64, h: f64) -> Shape {
     Shape { name: "cylinder", sdf: Box::new(sdf), volume: PI * r * r * h }
 }
 
-/// A bowl whose wall is the lower part, up to `h`, of a spherical shell of outer radius `r` and thickness `t`, standing on
-/// a flat of 4 mm depth.
+/// A bowl on a flat base of 4 mm. Its wall is the part of a spherical shell of outer radius `r` and thickness `t` below
+/// height `h`.
 pub fn round_bowl(foot: DVec3, r: f64, h: f64, t: f64) -> Shape {
     let center = r - 0.004;
     let sdf = move |p: DVec3| {
@@ -54,7 +54,7 @@ pub fn round_bowl(foot: DVec3, r: f64, h: f64, t: f64) -> Shape {
         let from_center = (q - DVec3::Z * center).length();
         (from_center - r).max((r - t) - from_center).max(q.z - h).max(-q.z)
     };
-    // Volume of a ball of radius `r` around height `center`, between two heights.
+    // Volume of a ball of radius `r` with its centre at height `center`, between two heights.
     let segment = move |r: f64, low: f64, high: f64| {
         let integral = |z: f64| PI * (r * r * z - (z - center).powi(3) / 3.0);
         integral(high) - integral(low)
@@ -76,7 +76,7 @@ pub fn cup(foot: DVec3, r: f64, h: f64, t: f64) -> Shape {
     Shape { name: "cup", sdf: Box::new(sdf), volume: PI * (r * r * h - inner * inner * (h - t)) }
 }
 
-/// An L standing on its foot: a long arm along x and a tower at its −x end.
+/// An L that stands on its foot: a long arm along x and a tower at its −x end.
 pub fn bracket(foot: DVec3, length: f64, width: f64, thick: f64, height: f64) -> Shape {
     let sdf = move |p: DVec3| {
         let q = p - foot;
@@ -99,7 +99,7 @@ pub fn torus(foot: DVec3, ring: f64, tube: f64) -> Shape {
     Shape { name: "torus", sdf: Box::new(sdf), volume: 2.0 * PI * PI * ring * tube * tube }
 }
 
-/// An egg: not a ball.
+/// An ellipsoid.
 pub fn ellipsoid(center: DVec3, half: DVec3) -> Shape {
     let sdf = move |p: DVec3| {
         let q = p - center;
@@ -109,7 +109,7 @@ pub fn ellipsoid(center: DVec3, half: DVec3) -> Shape {
     Shape { name: "egg", sdf: Box::new(sdf), volume: 4.0 / 3.0 * PI * half.x * half.y * half.z }
 }
 
-/// How a fixture is observed.
+/// Parameters of the cameras and the noise.
 pub struct Observation {
     pub frames: usize,
     pub width: usize,
@@ -118,9 +118,9 @@ pub struct Observation {
     pub noise: f64,
     /// Metres between Gaussians.
     pub pitch: f64,
-    /// Noise of their centres along the normal, metres.
+    /// Noise of the Gaussians' centres along the normal, metres.
     pub position_noise: f64,
-    /// Noise of their normals, radians.
+    /// Noise of the Gaussians' normals, radians.
     pub normal_noise: f64,
     /// Camera distance.
     pub distance: f64,
@@ -265,7 +265,7 @@ pub fn observe(objects: &[Shape], clutter: &[Shape], how: &Observation, seed: u6
     }
 }
 
-/// Mean and largest distance of evenly spread surface samples of `mesh` to the shape's surface, metres.
+/// Returns the mean and largest distance of evenly spread surface samples of `mesh` to the shape's surface, metres.
 pub fn surface_error(mesh: &Mesh, shape: &Shape) -> (f64, f64) {
     let (mut sum, mut weight, mut worst) = (0.0, 0.0, 0.0f64);
     for t in 0..mesh.triangles.len() {
@@ -281,8 +281,9 @@ pub fn surface_error(mesh: &Mesh, shape: &Shape) -> (f64, f64) {
     (sum / weight, worst)
 }
 
-/// `n` points spread evenly over a shape that lies within ±`half` of the origin, moved by `noise_m` along their normals,
-/// with normals turned by about `normal_noise_rad` about each tangent axis.
+/// Returns `n` points spread evenly over the surface of a shape that lies within ±`half` of the origin. The points are
+/// moved by `noise_m` along their normals, and the normals are turned by about `normal_noise_rad` about each tangent
+/// axis.
 pub fn sample_surface_of(
     shape: &Shape,
     half: f64,
@@ -296,7 +297,7 @@ pub fn sample_surface_of(
     let mut cloud = PointCloud::default();
     while cloud.points_w.len() < n {
         let mut p = DVec3::from_array(std::array::from_fn(|_| half * (2.0 * rng.random::<f64>() - 1.0)));
-        // Even in a thin shell is even on the surface.
+        // Points that are uniform in a thin shell are uniform on the surface.
         if (shape.sdf)(p).abs() > SHELL_M {
             continue;
         }

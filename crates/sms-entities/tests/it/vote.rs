@@ -1,4 +1,4 @@
-//! The mesher on noisy samples of whole surfaces, whose volume is known in closed form or by quadrature.
+//! The mesher on noisy samples of complete surfaces of known volume, in closed form or by quadrature.
 
 use crate::common::{Shape, sample_surface_of, surface_error, torus};
 use sms_core::glamx::DVec3;
@@ -26,7 +26,7 @@ fn capsule(p: DVec3, a: DVec3, b: DVec3, radius: f64) -> f64 {
     p.distance(a + along * (b - a)) - radius
 }
 
-/// Volume of `sdf < 0` by midpoint quadrature, cells on the surface in part.
+/// Returns the volume of `sdf < 0` by midpoint quadrature; cells on the surface count in part.
 fn volume_of(sdf: &(dyn Fn(DVec3) -> f64 + Sync), half: f64) -> f64 {
     use rayon::prelude::*;
     let h = 0.0005;
@@ -49,7 +49,7 @@ fn shape(name: &'static str, half: f64, sdf: impl Fn(DVec3) -> f64 + Sync + 'sta
     Shape { name, sdf: Box::new(sdf), volume }
 }
 
-/// A wall of 4 mm, a floor of 5 mm and a handle.
+/// A mug with a wall of 4 mm, a floor of 5 mm and a handle.
 fn mug() -> Shape {
     shape("mug", 0.085, |p| {
         let outer = capped_cylinder(p, 0.04, 0.048);
@@ -60,7 +60,7 @@ fn mug() -> Shape {
     })
 }
 
-/// A shell of 4 mm, cut off level.
+/// A shell of 4 mm with a level cut.
 fn bowl() -> Shape {
     shape("bowl", 0.085, |p| {
         let r = (p - DVec3::Z * 0.03).length();
@@ -101,7 +101,7 @@ fn noisy_cloud(shape: &Shape, half: f64, seed: u64) -> PointCloud {
     sample_surface_of(shape, half, POINTS, NOISE_M, NORMAL_NOISE_RAD, seed)
 }
 
-/// Relative volume error and mean distance of the mesh to the surface, metres.
+/// Returns the relative volume error and the mean distance of the mesh to the surface, metres.
 fn errors(mesh: &Mesh, shape: &Shape) -> (f64, f64) {
     (mesh.volume() / shape.volume - 1.0, surface_error(mesh, shape).0)
 }
@@ -129,7 +129,7 @@ fn vote_keeps_the_volume_of_noisy_shapes() {
     assert!(failed.is_empty(), "{failed:?}");
 }
 
-/// The paper's rule closes the same shapes, and swells them: that is why it is not the default.
+/// The paper's rule closes the same shapes but swells them; therefore it is not the default.
 #[test]
 fn prune_closes_shapes_but_fills_their_hollows() {
     let shape = mug();
