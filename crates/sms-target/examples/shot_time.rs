@@ -1,4 +1,4 @@
-//! Processor time of a shot in each target engine, on the true geometry of the eighteen fixed scenes:
+//! Measures the processor time of a shot in each target engine, on the true geometry of the eighteen fixed scenes:
 //! `shot_time ENGINES SCENES SHOTS`, such as `shot_time physx,physx-stock 1,8 2`.
 
 use rand::RngExt;
@@ -9,7 +9,7 @@ use sms_synth::FIXED_SCENES;
 use sms_target::{TargetEngine, scene_from_truth};
 use sms_task::{Action, ActionForm, Billiards, Selector, Task};
 
-/// How far the arm stands behind the place that the generator gives it, metres.
+/// Distance of the arm behind the generator's robot position, metres.
 const STAND_BACK_M: f64 = 0.1;
 
 /// Processor time of this thread, seconds.
@@ -26,13 +26,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let recorded = args.next().is_none_or(|s| s == "recorded");
     for number in scenes.split(',') {
         let number: usize = number.parse()?;
-        let fixed = FIXED_SCENES.iter().find(|s| s.number == number).ok_or("no such scene")?;
+        let fixed = FIXED_SCENES.iter().find(|s| s.number == number).ok_or("unknown scene")?;
         let truth = fixed.generate();
         let scene = scene_from_truth(&truth)?;
         let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
         let mut billiards = Billiards::new(cue, target, truth.goal_w);
         billiards.form = ActionForm::SpeedAngle;
-        // As the benchmarks place it.
+        // Same robot pose as in the benchmarks.
         let [x, y, z] = (truth.robot_base_w - glamx::DVec3::X * STAND_BACK_M).to_array();
         let x_wr = [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]];
         let robot = RobotConfig { x_recording_robot: Some(x_wr), ..RobotConfig::default() };
@@ -63,14 +63,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 Err(e) => return Err(e.into()),
             };
             let Ok(first) = task.rollout(&mut planner, &struck, &bodies, None) else { continue };
-            // The target ball is touched: neither a miss, which is over soon, nor the longest.
+            // Shots must touch the target ball: misses end early.
             if !first.contacts.iter().any(|c| [c.body, c.other].contains(&task.target().index)) {
                 continue;
             }
             done += 1;
             for name in engines.split(',') {
                 let engine =
-                    TargetEngine::ALL.into_iter().find(|e| e.name() == name).ok_or("no such engine")?;
+                    TargetEngine::ALL.into_iter().find(|e| e.name() == name).ok_or("unknown engine")?;
                 let target = engine.target()?;
                 let began = cpu_s();
                 let mut simulation = target.simulation(&scene, &task.world_options())?;

@@ -1,4 +1,4 @@
-//! The engines that are built in, by the names that the command line and the tables use.
+//! Target engines by their names on the command line and in tables.
 
 use crate::{SameEngineTarget, Target};
 use sms_core::InputError;
@@ -11,24 +11,24 @@ use crate::physx::PhysxFactory;
 #[cfg(any(feature = "physx", feature = "mujoco"))]
 use sms_sim::WorldOptions;
 
-/// A world in which plans are carried out.
+/// A physics engine in which plans are executed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum TargetEngine {
-    /// The planner's own engine in double precision at a quarter of the step.
+    /// Rapier, the planner's engine, in double precision at a quarter of the step.
     Rapier,
-    /// PhysX, as near to a real table as it comes.
+    /// PhysX, tuned for the closest agreement with closed forms.
     Physx,
-    /// PhysX with the engine's defaults.
+    /// PhysX with its default parameters.
     PhysxStock,
     /// MuJoCo.
     Mujoco,
 }
 
 impl TargetEngine {
-    /// All of them, whether built in or not.
+    /// All engines, built in or not.
     pub const ALL: [Self; 4] = [Self::Rapier, Self::Physx, Self::PhysxStock, Self::Mujoco];
 
-    /// Its name on the command line.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Rapier => "rapier",
@@ -38,7 +38,7 @@ impl TargetEngine {
         }
     }
 
-    /// Its name in metrics.
+    /// Returns the name in metrics.
     pub fn key(self) -> &'static str {
         match self {
             Self::Rapier => "rapier_f64",
@@ -48,7 +48,7 @@ impl TargetEngine {
         }
     }
 
-    /// Whether this program has it. MuJoCo's library is still to be found then.
+    /// Returns whether the engine is built in. MuJoCo also needs its library at run time.
     pub fn is_built_in(self) -> bool {
         match self {
             Self::Rapier => true,
@@ -57,15 +57,15 @@ impl TargetEngine {
         }
     }
 
-    /// What plans are executed in where nothing else is asked for: PhysX (precise), else Rapier.
+    /// Returns the default engine: PhysX (precise) if it is built in, otherwise Rapier.
     pub fn preferred() -> Self {
         if Self::Physx.is_built_in() { Self::Physx } else { Self::Rapier }
     }
 
-    /// The target.
+    /// Builds the target.
     ///
     /// # Errors
-    /// [`InputError`] when it is not built in, or its library is not found.
+    /// [`InputError`] if the engine is not built in, or its library is not found.
     pub fn target(self) -> Result<Box<dyn Target>, InputError> {
         match self {
             Self::Rapier => Ok(Box::new(SameEngineTarget)),
@@ -75,15 +75,15 @@ impl TargetEngine {
             Self::PhysxStock => Ok(Box::new(EngineTarget { factory: PhysxFactory::Stock, step: 1.0 })),
             #[cfg(feature = "mujoco")]
             Self::Mujoco => Ok(Box::new(EngineTarget { factory: MujocoFactory::new()?, step: 1.0 })),
-            #[allow(unreachable_patterns, reason = "reached where a feature is off")]
+            #[allow(unreachable_patterns, reason = "reached if a feature is off")]
             _ => Err(self.not_built_in()),
         }
     }
 
-    /// Builds its worlds.
+    /// Builds the factory of its worlds.
     ///
     /// # Errors
-    /// [`InputError`] when it is not built in, or its library is not found.
+    /// [`InputError`] if the engine is not built in, or its library is not found.
     pub fn factory(self) -> Result<Box<dyn WorldFactory>, InputError> {
         match self {
             Self::Rapier => Ok(Box::new(RapierF64Factory)),
@@ -93,24 +93,24 @@ impl TargetEngine {
             Self::PhysxStock => Ok(Box::new(PhysxFactory::Stock)),
             #[cfg(feature = "mujoco")]
             Self::Mujoco => Ok(Box::new(MujocoFactory::new()?)),
-            #[allow(unreachable_patterns, reason = "reached where a feature is off")]
+            #[allow(unreachable_patterns, reason = "reached if a feature is off")]
             _ => Err(self.not_built_in()),
         }
     }
 
-    #[allow(dead_code, reason = "used where a feature is off")]
+    #[allow(dead_code, reason = "used if a feature is off")]
     fn not_built_in(self) -> InputError {
         let feature = if self == Self::Mujoco { "mujoco" } else { "physx" };
         InputError::new(
             format!("this program was built without the engine `{}`", self.name()),
             "--engine",
-            format!("build with `--features {feature}` (README, \"Target engines\"), or take `rapier`"),
+            format!("build with `--features {feature}` (README, \"Target engines\"), or use `rapier`"),
         )
     }
 }
 
-/// The factories of all engines that can be used here, with their names in metrics: the planner's first. An engine that is
-/// built in and cannot be used comes with the reason instead.
+/// Returns the factories of all engines that are built in, with their names in metrics, the planner's first. An engine
+/// that cannot be used has the reason in place of the factory.
 pub fn engine_factories() -> Vec<(&'static str, Result<Box<dyn WorldFactory>, InputError>)> {
     let mut all: Vec<(&'static str, Result<Box<dyn WorldFactory>, InputError>)> =
         vec![("rapier_f32", Ok(Box::new(RapierFactory)))];
@@ -119,7 +119,7 @@ pub fn engine_factories() -> Vec<(&'static str, Result<Box<dyn WorldFactory>, In
     all
 }
 
-/// An engine at a share of the planner's step.
+/// An engine at a fraction of the planner's step.
 #[cfg(any(feature = "physx", feature = "mujoco"))]
 struct EngineTarget<F> {
     factory: F,

@@ -1,4 +1,4 @@
-//! Carrying out a plan in a target world.
+//! Executes a plan in a target world.
 
 use crate::scene::carried;
 use crate::{SameEngineTarget, Target, match_bodies, scene_from_truth};
@@ -16,17 +16,17 @@ use sms_task::{Action, Execution, MotionRecording, ResolvedTask, Rollout, Task, 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TargetOptions {
-    /// Reruns with disturbed start positions, for the chaos floor.
+    /// Number of reruns with perturbed start positions, for the chaos floor.
     pub chaos_runs: usize,
-    /// Half width of these disturbances, metres, in x and y of every body.
+    /// Half width of these perturbations in x and y of every body, metres.
     pub chaos_m: f64,
     /// Time between recorded states, seconds.
     pub record_every_s: f64,
-    /// Seed of the disturbances.
+    /// Seed of the perturbations.
     pub seed: Seed,
-    /// The robot that strikes, by its place; where that is not known, a finger that gives no way.
+    /// The striking robot and its base pose; without a base pose, a kinematic finger of infinite mass.
     pub robot: RobotConfig,
-    /// Whose joints the robot's arm has: ours, the same in every engine, or the engine's own.
+    /// Who simulates the arm's joints: our model, the same in every engine, or the engine.
     pub arm: ArmKind,
 }
 
@@ -49,14 +49,14 @@ pub enum TargetError {
     /// The task does not fit the planner's scene.
     #[error(transparent)]
     Task(#[from] TaskError),
-    /// The target's world could not be built or blew up.
+    /// The target's world could not be built, or it diverged.
     #[error(transparent)]
     Sim(#[from] SimError),
     /// The landing cannot be flown.
     #[error(transparent)]
     Landing(#[from] sms_landing::LandingError),
-    /// The truth names masses that no body has.
-    #[error("the truth cannot be simulated: {0}")]
+    /// The ground truth has an impossible mass or inertia.
+    #[error("the ground truth cannot be simulated: {0}")]
     Truth(#[from] InertiaError),
 }
 
@@ -70,12 +70,11 @@ impl StageError for TargetError {
     }
 }
 
-/// Carries out a planned action in the true scene, on [`SameEngineTarget`].
+/// Executes a planned action in the true scene, on [`SameEngineTarget`].
 ///
-/// The action is what was planned: the task is resolved against the *planner's* scene, which gives the robot's motion
-/// in world coordinates, and the robot repeats that motion whatever is really there. The objective is measured on the
-/// true bodies in the places of the planner's; where none is there, on the scene's true target ball, or on the body of
-/// that name.
+/// The task is resolved in the *planner's* scene, which fixes the robot's motion in world coordinates. The robot
+/// repeats this motion regardless of the true scene. The objective is measured on the true bodies that match the
+/// planner's; without a match, on the true target ball or on the body of the same name.
 ///
 /// # Errors
 /// [`TargetError`].
@@ -89,7 +88,7 @@ pub fn execute(
     execute_on(&SameEngineTarget, task, action, planned_scene, truth, options)
 }
 
-/// [`execute`] on a given target.
+/// Does the same as [`execute`] on a given target.
 ///
 /// # Errors
 /// [`TargetError`].
@@ -104,10 +103,10 @@ pub fn execute_on(
     let task =
         task.resolve(planned_scene)?.with_robot(&options.robot, planned_scene).map_err(TaskError::from)?;
     let striker = task.striker(&task.strike(action))?;
-    // The truth is in the recording's world, the plan in the one that the recording was aligned to.
+    // The ground truth is in the world of the recording, the plan in the aligned world.
     let true_scene = carried(scene_from_truth(truth)?, &planned_scene.x_world_recording);
     let matches = match_bodies(planned_scene, &true_scene);
-    // A target ball that has no match is still the scene's target ball; other bodies keep their names.
+    // Without a match, the target ball is the scene's target ball; other bodies keep their names.
     let called = |name: &str| match matches.iter().find(|(planned, _)| *planned == name) {
         Some((_, there)) => there.clone(),
         None if task.kind() == "billiards" => truth.target.clone(),
@@ -149,8 +148,8 @@ fn rollout(
     Ok(task.rollout(&mut simulation, striker, &bodies, recording)?)
 }
 
-/// The scene with every dynamic body moved by up to [`TargetOptions::chaos_m`] along x and y, as the chaos floor's run
-/// `index` has it.
+/// Returns the scene of the chaos floor's run `index`: every dynamic body is moved by up to [`TargetOptions::chaos_m`]
+/// along x and y.
 pub fn disturbed(scene: &Scene, options: &TargetOptions, index: usize) -> Scene {
     let mut rng = options.seed.derive_index("chaos floor", index as u64).rng();
     let mut offset = || options.chaos_m * rng.random_range(-1.0..=1.0f64);

@@ -1,4 +1,4 @@
-//! Carrying out a landing in a target world.
+//! Executes a landing in a target world.
 
 use crate::scene::carried;
 use crate::{Target, TargetError, match_bodies, scene_from_truth};
@@ -13,20 +13,20 @@ use sms_task::json;
 use sms_wash::{SphSettings, WashModel, WashSettings};
 use std::path::Path;
 
-/// Where an executed landing lies in its folder.
+/// Name of an executed landing's file.
 pub const LANDING_EXECUTION_FILE: &str = "landing_execution.json";
 
 /// Settings of an executed landing.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LandingTargetOptions {
-    /// The planner's particles; the target's are [`SphSettings::independent`] of them.
+    /// The planner's particle settings; the target uses [`SphSettings::independent`] ones.
     pub planner_sph: SphSettings,
-    /// Whether the landing is flown once more with `jet` in the place of particles.
+    /// Whether to repeat the landing with the wash model `jet` in place of particles.
     pub second_opinion: bool,
-    /// What is kept of the motion; nothing keeps tables small.
+    /// Recording of the motion; `None` keeps tables small.
     pub recording: Option<LandingRecording>,
-    /// Ends the run once the structure has moved and turned by this much in all: for tables, which ask for success alone.
+    /// Ends the run as soon as the structure alone makes the objective this large: for tables of successes.
     pub enough: Option<f64>,
 }
 
@@ -41,19 +41,19 @@ impl Default for LandingTargetOptions {
     }
 }
 
-/// A landing carried out in a target world.
+/// A landing executed in a target world.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LandingExecution {
     /// Engine of the target, with its label.
     pub engine: String,
-    /// What was flown.
+    /// The executed action.
     pub action: LandingAction,
-    /// What happened, with the wash of particles that are half the size of the planner's and differ from them in kernel, sound
-    /// speed and pattern.
+    /// Outcome with the wash of particles that are half the size of the planner's and differ in kernel, sound speed and
+    /// pattern.
     pub outcome: LandingOutcome,
-    /// What happens where the wash is a turbulent jet.
+    /// Outcome with the wash of a turbulent jet.
     pub second_opinion: Option<LandingOutcome>,
-    /// Planner's body name → target's body name, for those that were matched.
+    /// Planner's body name → target's body name, for the matched bodies.
     pub matches: Vec<(String, String)>,
 }
 
@@ -67,7 +67,7 @@ impl LandingExecution {
         self.outcome.trajectory.write_parquet(&dir.join("trajectory.parquet"))
     }
 
-    /// Reads [`LANDING_EXECUTION_FILE`] of a folder.
+    /// Reads [`LANDING_EXECUTION_FILE`] from a folder.
     ///
     /// # Errors
     /// [`CoreError::Read`] or [`CoreError::Input`] that names the file.
@@ -76,9 +76,9 @@ impl LandingExecution {
     }
 }
 
-/// Flies a planned landing in the true scene: true shapes, masses and materials, another engine where there is one, another model
-/// of the air. The flight is what was planned in the planner's scene, whatever is really there; every dynamic body of the truth
-/// must stay.
+/// Flies a planned landing in the true scene: true shapes, masses and materials, the target's engine, and different
+/// wash particles. The flight is fixed by the planner's scene, regardless of the true one. Every dynamic body of the
+/// true scene must stay in place.
 ///
 /// # Errors
 /// [`TargetError`].

@@ -1,10 +1,10 @@
-//! Target worlds in which a plan is carried out; the planner never reads them.
+//! Target worlds that execute plans; the planner never reads them.
 //!
-//! [`execute`] takes a task, the planned action, the planner's scene and the truth of a generated scene, and says what
-//! really happens, on [`SameEngineTarget`]. [`execute_on`] takes any [`Target`]; [`TargetEngine`] lists those that there
-//! are: PhysX with the feature `physx`, MuJoCo with the feature `mujoco`.
+//! [`execute`] takes a task, the planned action, the planner's scene and the ground truth of a generated scene, and
+//! returns the realised outcome on [`SameEngineTarget`]. [`execute_on`] accepts any [`Target`]; [`TargetEngine`] lists
+//! them: Rapier, PhysX with the feature `physx`, MuJoCo with the feature `mujoco`.
 //!
-//! [`execute_landing`] does the same for landings (`sms-landing`).
+//! [`execute_landing`] executes landings (`sms-landing`).
 //!
 //! ```
 //! use sms_core::Seed;
@@ -13,7 +13,7 @@
 //! use sms_task::{Billiards, Selector, Task};
 //!
 //! let truth = generate_billiards(Seed(1), &BilliardsSettings { objects: 1, ..Default::default() });
-//! // A perfect scan; `sms materialize` gives a scene that differs from the truth.
+//! // A perfect scan; `sms materialize` returns a scene that differs from the ground truth.
 //! let planned = scene_from_truth(&truth)?;
 //! let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
 //! let task = Task::Billiards(Billiards::new(cue, target, truth.goal_w));

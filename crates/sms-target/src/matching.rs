@@ -1,15 +1,15 @@
-//! Which reconstructed body is which true one.
+//! Matches reconstructed bodies with true ones.
 
 use glamx::DVec3;
 use sms_core::Aabb;
 use sms_scene::{Body, BodyKind, Scene};
 
-/// Least share of the union of both boxes that their intersection must have.
+/// Smallest intersection over union of two boxes that match.
 const MIN_OVERLAP: f64 = 0.1;
 
-/// Pairs (planner's body, target's body) of dynamic bodies that are in the same place: those whose boxes in the world
-/// overlap most come first, each body is in at most one pair, and boxes that share less than a tenth of their union
-/// are no pair. Both scenes are in the same world. The result is in the order of the planner's bodies.
+/// Matches dynamic bodies by place and returns the pairs (planner's body, target's body) in the order of the planner's
+/// bodies. Pairs are made greedily by the largest intersection over union of the boxes in the world, at least a tenth.
+/// Each body is in at most one pair. Both scenes must be in the same world.
 pub fn match_bodies(planned: &Scene, truth: &Scene) -> Vec<(String, String)> {
     let (own, other) = (boxes(planned), boxes(truth));
     let mut candidates: Vec<(f64, usize, usize)> = Vec::new();

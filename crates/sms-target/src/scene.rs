@@ -1,4 +1,4 @@
-//! A generated scene's truth as a physics scene.
+//! Physics scenes from the ground truth of generated scenes.
 
 use glamx::{DPose3, DVec3};
 use sms_core::{Hash, InertiaError, MassProperties, Mesh, hash_serializable};
@@ -9,10 +9,11 @@ use sms_synth::{TruthObject, TruthScene};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-/// Distance of the arm behind the generator's place for it, metres. Nearer, its links 5 and 7 collide in one strike of six.
+/// Distance of the arm behind the generator's robot position, metres. Nearer, links 5 and 7 collide in one strike of
+/// six.
 const STAND_BACK_M: f64 = 0.1;
 
-/// Returns the built-in arm before a generated scene. Its pose is known beforehand, as from a hand-eye calibration; a scan
+/// Returns the built-in arm in front of a generated scene. Its pose is given, as from a hand-eye calibration; a scan
 /// does not estimate it.
 pub fn robot_of(truth: &TruthScene) -> RobotConfig {
     let [x, y, z] = (truth.robot_base_w - DVec3::X * STAND_BACK_M).to_array();
@@ -21,17 +22,17 @@ pub fn robot_of(truth: &TruthScene) -> RobotConfig {
     RobotConfig { x_recording_robot: Some(x_recording_robot), ..RobotConfig::default() }
 }
 
-/// The truth as a scene in the world of the recording: exact spheres, the exact convex parts of objects that are made of
-/// such, a finer decomposition than the planner's of every other mesh (a scanned model), true masses and materials, and
-/// a half space as floor. Bodies have the names of the truth's objects.
+/// Converts the ground truth into a scene in the world of the recording: exact spheres, the exact convex parts of
+/// composed objects, a finer decomposition than the planner's of every other mesh (a scanned model), true masses and
+/// materials, and a half space as floor. Bodies have the names of the true objects.
 ///
-/// Decompositions take seconds and are kept in memory for the life of the process.
+/// Decompositions take seconds; they are cached in memory until the process ends.
 ///
 /// # Errors
-/// [`InertiaError`] when a truth file names masses that no body has.
+/// [`InertiaError`] if the ground truth has an impossible mass or inertia.
 pub fn scene_from_truth(truth: &TruthScene) -> Result<Scene, InertiaError> {
     let mut floor = floor_body(0.0, truth.floor.material.clone());
-    // An object may be called so.
+    // An object may have this name.
     while truth.object(&floor.name).is_some() {
         floor.name.push('_');
     }
@@ -48,7 +49,7 @@ pub fn scene_from_truth(truth: &TruthScene) -> Result<Scene, InertiaError> {
     })
 }
 
-/// The same scene seen from another world: `x_vw` carries points of its world `W` into `V`. Gravity turns with it.
+/// Transforms a scene into another world: `x_vw` maps points of its world `W` into `V`. Gravity rotates with it.
 pub(crate) fn carried(mut scene: Scene, x_vw: &DPose3) -> Scene {
     scene.gravity_w = x_vw.rotation * scene.gravity_w;
     for body in &mut scene.bodies {
@@ -73,7 +74,7 @@ fn body(object: &TruthObject, label: u16) -> Result<Body, InertiaError> {
         shape,
         visual: object.mesh.clone(),
         texture: None,
-        // The truth's origin is the centre of mass up to rounding.
+        // The true origin is the centre of mass up to rounding.
         mass: Some(MassProperties::new(object.mass.mass(), DVec3::ZERO, object.mass.inertia())?),
         material: object.material.clone(),
         color: mean_color(&object.mesh),
@@ -82,7 +83,8 @@ fn body(object: &TruthObject, label: u16) -> Result<Body, InertiaError> {
     })
 }
 
-/// How meshes without parts are decomposed: four times the planner's number of parts, a quarter of its concavity.
+/// Decomposition settings for meshes without parts: four times the planner's number of parts, a quarter of its
+/// concavity.
 fn fine() -> ConvexConfig {
     let planner = ConvexConfig::default();
     ConvexConfig {
@@ -99,7 +101,7 @@ fn fine_parts(mesh: &Mesh) -> Arc<Vec<Mesh>> {
     let Hash(key) = hash_serializable(&(&mesh.vertices, &mesh.triangles));
     let found = kept().get(&key).cloned();
     found.unwrap_or_else(|| {
-        // Not under the lock: two threads that ask for the same mesh get the same parts.
+        // Outside the lock: two threads that decompose the same mesh get the same parts.
         let parts = Arc::new(convex_parts(mesh, &fine()));
         kept().insert(key, parts.clone());
         parts
@@ -120,12 +122,12 @@ mod tests {
     use glamx::DQuat;
     use sms_mesh::convex_hull;
 
-    /// Volume between the parts' union and the mesh where parts do not overlap.
+    /// Excess volume of the parts over the mesh, for parts that do not overlap.
     fn excess(parts: &[Mesh], mesh: &Mesh) -> f64 {
         parts.iter().map(Mesh::volume).sum::<f64>() / mesh.volume() - 1.0
     }
 
-    /// A bent bar: an arc of a ring with a square section, closed and not convex.
+    /// Returns a bent bar: an arc of a ring with a square section, closed and not convex.
     fn bent_bar() -> Mesh {
         let (steps, half) = (24, 0.01);
         let mut vertices = Vec::new();
@@ -156,7 +158,7 @@ mod tests {
         let (coarse, finer) = (excess(&planner, &mesh), excess(&target, &mesh));
         assert!(finer < 0.6 * coarse, "{finer} {coarse}");
         let hull = convex_hull(&mesh.vertices, 64, 0.0).unwrap();
-        assert!(excess(&[hull], &mesh) > 1.0, "one hull would be far off");
-        assert!(Arc::ptr_eq(&target, &fine_parts(&mesh)), "kept");
+        assert!(excess(&[hull], &mesh) > 1.0, "one hull must be far off");
+        assert!(Arc::ptr_eq(&target, &fine_parts(&mesh)), "cached");
     }
 }

@@ -1,33 +1,33 @@
-//! Targets: an engine with the step at which it is to be believed.
+//! Targets: an engine and the time step at which it is accurate.
 
 use sms_scene::Scene;
 use sms_sim::{NamedRapierF64, SimError, Simulation, WorldFactory, WorldOptions};
 
-/// A world in which plans are carried out.
+/// A simulation in which plans are executed.
 pub trait Target: Sync {
-    /// Builds its worlds.
+    /// Returns the factory of its worlds.
     fn factory(&self) -> &dyn WorldFactory;
 
-    /// How its worlds are built where the planner's are built as `planner` says.
+    /// Returns the options of its worlds, given the planner's options.
     fn world_options(&self, planner: &WorldOptions) -> WorldOptions;
 
-    /// Name of the engine with its label, as every table shows it.
+    /// Returns the name of the engine and its label, for tables.
     fn label(&self) -> &'static str {
         self.factory().engine()
     }
 
-    /// Builds a simulation of the true scene; `planner` says how the planner's worlds are built.
+    /// Builds a simulation of the true scene; `planner` are the options of the planner's worlds.
     ///
     /// # Errors
-    /// [`SimError`] when the engine refuses a body.
+    /// [`SimError`] if the engine refuses a body.
     fn simulation(&self, scene: &Scene, planner: &WorldOptions) -> Result<Simulation, SimError> {
         Simulation::new(self.factory(), scene, &self.world_options(planner))
     }
 }
 
-/// Rapier in double precision at a quarter of the planner's step. It is the planner's own engine: what differs
-/// between plan and execution are the scene, the precision and the step, not the contact model. Every table and
-/// page says so.
+/// Rapier in double precision at a quarter of the planner's step. It is the planner's own engine: plan and execution
+/// differ in the scene, the precision and the step, not in the contact model. The label in tables and pages states
+/// this.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SameEngineTarget;
 

@@ -1,5 +1,5 @@
-//! Worlds of PhysX release all their objects, whichever thread builds them. A binary of its own, because it counts the
-//! objects of the process.
+//! PhysX worlds release all their objects, regardless of the thread that builds them. The test is a binary of its own
+//! because it counts the objects of the process.
 #![cfg(feature = "physx")]
 
 #[path = "../../sms-sim/tests/it/common.rs"]
@@ -49,7 +49,7 @@ fn two_hundred_worlds_leave_nothing_behind() {
         }
     });
     assert_eq!(physx_live_objects(), 0, "200 worlds later");
-    // A scene that is refused half-way gives back what was made of it.
+    // A scene that is refused half-way releases its objects.
     let mut bad = scene.clone();
     bad.bodies[2].mass = None;
     assert!(PhysxFactory::Precise.build(&bad, &awake()).is_err());

@@ -1,8 +1,8 @@
 //! The MuJoCo library, loaded at run time.
 //!
-//! Only functions are used, and no layout of MuJoCo's structures, which changes from version to version: states go through
-//! `mj_getState` and `mj_setState`, accelerations come out of `mj_step` (which leaves them as the solver's next start), and
-//! steps of any length are made of them with `mj_integratePos`.
+//! Only functions are used, because the layout of MuJoCo's structures changes between versions. States are read and set
+//! with `mj_getState` and `mj_setState`. Accelerations come from `mj_step`, which stores them as the solver's next warm
+//! start, and `mj_integratePos` integrates steps of any length.
 
 use libloading::Library as Dynamic;
 use sms_core::InputError;
@@ -10,27 +10,27 @@ use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// The variable that names the library, or the folder that it is in.
+/// Environment variable with the path of the library or of its folder.
 pub const MUJOCO_VARIABLE: &str = "SMS_MUJOCO";
 
-/// How to get it.
+/// Instructions to install the library.
 const CURE: &str = "`pip install mujoco`, and set SMS_MUJOCO to its folder: \
                     export SMS_MUJOCO=$(python3 -c 'import mujoco, os; print(os.path.dirname(mujoco.__file__))')";
 
-/// First version with `mj_parseXMLString` and what else is used here.
+/// First version with `mj_parseXMLString` and the other functions.
 const OLDEST: (i32, i32) = (3, 2);
-/// Length of MuJoCo's error texts.
+/// Length of the buffer for MuJoCo's error texts.
 const ERROR_LEN: usize = 1000;
 
-/// Components of a state, the bits of `mjtState` that have been the same in every version.
+/// Components of a state: bits of `mjtState` that are the same in every version.
 pub(super) const QPOS: c_int = 1 << 1;
 pub(super) const QVEL: c_int = 1 << 2;
-/// Bits that may be components of a state; which of them are what is asked of each library.
+/// Bits of `mjtState` that may be further components of a state; each library is queried for their sizes.
 const STATE_BITS: std::ops::Range<c_int> = 3..20;
 
 type Opaque = *mut c_void;
 
-/// The functions of MuJoCo that are used here.
+/// The functions of MuJoCo in use.
 pub(super) struct Library {
     parse_xml: unsafe extern "C" fn(*const c_char, *const c_void, *mut c_char, c_int) -> Opaque,
     compile: unsafe extern "C" fn(Opaque, *const c_void) -> Opaque,
@@ -44,19 +44,19 @@ pub(super) struct Library {
     get_state: unsafe extern "C" fn(Opaque, Opaque, *mut f64, c_int),
     set_state: unsafe extern "C" fn(Opaque, Opaque, *const f64, c_int),
     integrate: unsafe extern "C" fn(Opaque, *mut f64, *const f64, f64),
-    /// Compiling goes through caches that the whole process shares.
+    /// Held while models are compiled: compilation uses caches of the whole process.
     compiling: Mutex<()>,
     version: String,
-    // The functions are its code.
+    // Keeps the code of the functions loaded.
     _dynamic: Dynamic,
 }
 
-/// What MuJoCo warns of (a contact buffer that is full, a state that is not finite) shows in the states; its default
-/// handler prints and writes a log into the working folder.
+/// Ignores a warning. MuJoCo's warnings (a full contact buffer, a non-finite state) show in the states, and its default
+/// handler prints and writes a log into the working directory.
 unsafe extern "C" fn ignore_warning(_text: *const c_char) {}
 
 impl Library {
-    /// The library that [`MUJOCO_VARIABLE`] names; the first call loads it.
+    /// Returns the library at [`MUJOCO_VARIABLE`]; the first call loads it.
     pub(super) fn get() -> Result<&'static Self, InputError> {
         static LIBRARY: OnceLock<Result<Library, InputError>> = OnceLock::new();
         LIBRARY.get_or_init(Self::find).as_ref().map_err(Clone::clone)
@@ -64,20 +64,21 @@ impl Library {
 
     fn find() -> Result<Self, InputError> {
         let Some(named) = std::env::var_os(MUJOCO_VARIABLE).filter(|v| !v.is_empty()) else {
-            return Err(InputError::new("MuJoCo's library is not named", MUJOCO_VARIABLE, CURE));
+            return Err(InputError::new("the path of the MuJoCo library is not set", MUJOCO_VARIABLE, CURE));
         };
         let named = PathBuf::from(named);
         let file = if named.is_dir() { in_folder(&named) } else { Some(named.clone()) };
         let file = file
             .filter(|f| f.is_file())
-            .ok_or_else(|| InputError::new("there is no MuJoCo library", &named, CURE))?;
+            .ok_or_else(|| InputError::new("no MuJoCo library found", &named, CURE))?;
         Self::load(&file)
-            .map_err(|why| InputError::new("MuJoCo's library cannot be used", &file, CURE).because(why))
+            .map_err(|why| InputError::new("the MuJoCo library cannot be used", &file, CURE).because(why))
     }
 
     fn load(file: &Path) -> Result<Self, String> {
-        // SAFETY: loading runs the library's initialisers: the user named it as MuJoCo. Each symbol is looked up by its
-        // documented name and has the type that the header `mujoco.h` declares, in all versions from `OLDEST` on.
+        // SAFETY: loading runs the library's initialisers; the user declared it to be MuJoCo. Each symbol is looked up
+        // by its documented name and has the type that the header `mujoco.h` declares, in all versions from `OLDEST`
+        // on.
         unsafe {
             let dynamic = Dynamic::new(file).map_err(|e| e.to_string())?;
             macro_rules! function {
@@ -90,7 +91,7 @@ impl Library {
             let version_text: unsafe extern "C" fn() -> *const c_char = function!("mj_versionString");
             let version = CStr::from_ptr(version_text()).to_string_lossy().into_owned();
             check_version(&version)?;
-            // A variable of the library: a pointer to the handler.
+            // The library's variable that points to the warning handler.
             let handler = dynamic
                 .get::<*mut Option<unsafe extern "C" fn(*const c_char)>>(b"mju_user_warning\0")
                 .map_err(|_| "it has no variable mju_user_warning")?;
@@ -115,21 +116,21 @@ impl Library {
         }
     }
 
-    /// The library's version ("4.0.0").
+    /// Returns the library's version ("4.0.0").
     pub(super) fn version(&self) -> &str {
         &self.version
     }
 
-    /// Compiles a model of MJCF text.
+    /// Compiles a model from MJCF text.
     ///
     /// # Errors
-    /// What MuJoCo says.
+    /// MuJoCo's error message.
     pub(super) fn model(&'static self, xml: &str) -> Result<Model, String> {
-        let text = CString::new(xml).map_err(|_| "a name has a zero byte in it".to_owned())?;
+        let text = CString::new(xml).map_err(|_| "a name contains a zero byte".to_owned())?;
         let mut error = [0 as c_char; ERROR_LEN];
         let _lock = self.compiling.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: the text is a C string and the error buffer has the length that is passed; MuJoCo ends its texts with a
-        // zero. The specification is deleted here, the model is owned by `Model`.
+        // SAFETY: the text is a C string and the error buffer has the length that is passed; MuJoCo ends its texts with
+        // a zero. The specification is deleted here; `Model` owns the model.
         unsafe {
             let spec =
                 (self.parse_xml)(text.as_ptr(), std::ptr::null(), error.as_mut_ptr(), ERROR_LEN as c_int);
@@ -148,7 +149,7 @@ impl Library {
     }
 }
 
-/// The library in a folder, of several the one whose name comes last.
+/// Finds the library in a folder; of several, the last by name.
 fn in_folder(folder: &Path) -> Option<PathBuf> {
     let is_library = |p: &PathBuf| {
         let name = p.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -163,7 +164,7 @@ fn check_version(version: &str) -> Result<(), String> {
     let mut numbers = version.split('.').map(|n| n.parse::<i32>().unwrap_or(-1));
     let (major, minor) = (numbers.next().unwrap_or(-1), numbers.next().unwrap_or(-1));
     if (major, minor) < OLDEST {
-        return Err(format!("it is version {version}, and {}.{} is the oldest usable", OLDEST.0, OLDEST.1));
+        return Err(format!("its version is {version}; at least {}.{} is required", OLDEST.0, OLDEST.1));
     }
     Ok(())
 }
@@ -174,7 +175,7 @@ pub(super) struct Model {
     model: Opaque,
 }
 
-// SAFETY: a model is never changed after it was compiled.
+// SAFETY: a model does not change after compilation.
 unsafe impl Send for Model {}
 // SAFETY: as above.
 unsafe impl Sync for Model {}
@@ -185,9 +186,9 @@ impl Model {
         unsafe { (self.library.state_size)(self.model, bits) as usize }
     }
 
-    /// Moves positions `q` along velocities `v` for `dt` seconds.
+    /// Integrates positions `q` along velocities `v` for `dt` seconds.
     pub(super) fn integrate(&self, q: &mut [f64], v: &[f64], dt: f64) {
-        assert!(q.len() == self.size(QPOS) && v.len() == self.size(QVEL), "sizes are the model's");
+        assert!(q.len() == self.size(QPOS) && v.len() == self.size(QVEL), "sizes must match the model");
         // SAFETY: both arrays have the model's lengths.
         unsafe { (self.library.integrate)(self.model, q.as_mut_ptr(), v.as_ptr(), dt) };
     }
@@ -195,53 +196,53 @@ impl Model {
 
 impl Drop for Model {
     fn drop(&mut self) {
-        // SAFETY: owned here, and data only use it through an `Arc`.
+        // SAFETY: owned here; data use it only through an `Arc`.
         unsafe { (self.library.delete_model)(self.model) };
     }
 }
 
-/// A state of a model, with what follows from it.
+/// A state of a model and its derived quantities.
 pub(super) struct Data {
     model: std::sync::Arc<Model>,
     data: Opaque,
-    /// The bit of the accelerations from which the solver starts, which are those that it found last.
+    /// State bit of the solver's warm start: the accelerations of its last solution.
     acceleration: c_int,
-    /// The bit of the forces and torques on bodies.
+    /// State bit of the forces and torques on bodies.
     wrench: c_int,
 }
 
-// SAFETY: data are used by the one thread that owns them.
+// SAFETY: only the owning thread uses the data.
 unsafe impl Send for Data {}
 
 impl Data {
-    /// Data of a model with `bodies` bodies, the world among them.
+    /// Allocates the data of a model with `bodies` bodies, including the world.
     ///
     /// # Errors
-    /// When memory is short, or the library's states are others than those known here.
+    /// A reason, if memory is short or the library's state layout is unknown.
     pub(super) fn new(model: std::sync::Arc<Model>, bodies: usize) -> Result<Self, String> {
         let speeds = model.size(QVEL);
         let with_size = |size| STATE_BITS.map(|k| 1 << k).find(|&bit| model.size(bit) == size);
-        // The first component as long as the velocities is the warm start, the only one six times as long as there are
-        // bodies the wrenches: the world is a body, and has no velocities.
+        // The warm start is the first component with the length of the velocities. The wrenches are the only component
+        // with six values per body: the world counts as a body but has no velocities.
         let (Some(acceleration), Some(wrench)) = (with_size(speeds), with_size(6 * bodies)) else {
-            return Err(format!("MuJoCo {} has other states than expected", model.library.version));
+            return Err(format!("MuJoCo {} has an unknown state layout", model.library.version));
         };
         // SAFETY: a living model.
         let data = unsafe { (model.library.make_data)(model.model) };
         if data.is_null() {
-            return Err("MuJoCo has no memory for it".to_owned());
+            return Err("MuJoCo is out of memory".to_owned());
         }
         Ok(Self { model, data, acceleration, wrench })
     }
 
     fn get(&self, bit: c_int, into: &mut [f64]) {
-        assert_eq!(into.len(), self.model.size(bit), "sizes are the model's");
+        assert_eq!(into.len(), self.model.size(bit), "sizes must match the model");
         // SAFETY: the array has the component's length.
         unsafe { (self.model.library.get_state)(self.model.model, self.data, into.as_mut_ptr(), bit) };
     }
 
     fn set(&mut self, bit: c_int, from: &[f64]) {
-        assert_eq!(from.len(), self.model.size(bit), "sizes are the model's");
+        assert_eq!(from.len(), self.model.size(bit), "sizes must match the model");
         // SAFETY: the array has the component's length.
         unsafe { (self.model.library.set_state)(self.model.model, self.data, from.as_ptr(), bit) };
     }
@@ -252,19 +253,19 @@ impl Data {
         self.set(QVEL, v);
     }
 
-    /// Sets the forces (N) and torques (N·m) at the centres of mass of all bodies, the world's first.
+    /// Sets the forces (N) and torques (N·m) at the centres of mass of all bodies, starting with the world.
     pub(super) fn set_wrenches(&mut self, wrenches: &[f64]) {
         self.set(self.wrench, wrenches);
     }
 
-    /// The accelerations that follow from positions, velocities and wrenches. These must be set again afterwards.
+    /// Computes the accelerations from positions, velocities and wrenches, which must be set again afterwards.
     pub(super) fn accelerations(&mut self, into: &mut [f64]) {
         // SAFETY: data of this model.
         unsafe { (self.model.library.step)(self.model.model, self.data) };
         self.get(self.acceleration, into);
     }
 
-    /// Sets what the solver starts from, which is what [`Data::accelerations`] gave last.
+    /// Sets the solver's warm start: the last result of [`Data::accelerations`].
     pub(super) fn set_warm_start(&mut self, accelerations: &[f64]) {
         self.set(self.acceleration, accelerations);
     }

@@ -1,8 +1,8 @@
-//! MuJoCo (feature `mujoco`), a second opinion: soft contacts, solved implicitly, in double precision.
+//! MuJoCo (feature `mujoco`), an independent target: soft contacts, solved implicitly, in double precision.
 //!
-//! The library is loaded at run time from where [`MUJOCO_VARIABLE`] says, which PyPI's wheel `mujoco` brings; every
-//! version from 3.2 on will do. Steps are made of steps of at most 50 µs, so that the impact of a ball takes several. What sleeps
-//! is not in the model until something comes near.
+//! The library is loaded at run time from [`MUJOCO_VARIABLE`]; the PyPI wheel `mujoco` contains it. Versions from 3.2
+//! on are supported. Steps are split into substeps of at most 50 µs, so that the impact of a ball takes several.
+//! Sleeping bodies are not in the model until another body comes near.
 #![allow(unsafe_code, reason = "MuJoCo is C; every call is wrapped in `library`")]
 
 mod library;
@@ -18,7 +18,7 @@ use sms_scene::Scene;
 use sms_sim::{SimError, World, WorldFactory, WorldOptions};
 use std::sync::OnceLock;
 
-/// Builds worlds of MuJoCo.
+/// A factory of MuJoCo worlds.
 #[derive(Clone, Copy)]
 pub struct MujocoFactory {
     library: &'static Library,
@@ -26,10 +26,10 @@ pub struct MujocoFactory {
 }
 
 impl MujocoFactory {
-    /// Finds the library.
+    /// Loads the library.
     ///
     /// # Errors
-    /// [`InputError`] where [`MUJOCO_VARIABLE`] names none that can be used.
+    /// [`InputError`] if [`MUJOCO_VARIABLE`] does not lead to a usable library.
     pub fn new() -> Result<Self, InputError> {
         static NAME: OnceLock<String> = OnceLock::new();
         let library = Library::get()?;

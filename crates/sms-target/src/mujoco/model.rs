@@ -1,9 +1,9 @@
-//! A scene as MJCF text for the target, with one contact rule for every pair.
+//! Writes a scene as MJCF text for the target, with one contact rule for all pairs.
 //!
-//! The export of `sms-export` is made for other programs and has to state friction and restitution geom by geom. Here
-//! every pair that a ball, the ground, another fixed body or the striker is in is stated as a pair, with the mean of both
-//! coefficients as in our contact rule. Pairs of two other moving bodies are found by MuJoCo, with the larger friction and
-//! no rebound.
+//! The MJCF of `sms-export` serves other programs and sets friction and restitution per geom. Here every pair with a
+//! ball, the ground, another fixed body or the striker is an explicit contact pair, with the mean of both coefficients
+//! as in our contact rule. MuJoCo finds pairs of two other moving bodies itself, with the larger friction and without
+//! rebound.
 
 use glamx::{DPose3, DQuat, DVec3};
 use sms_core::Mesh;
@@ -11,27 +11,27 @@ use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{BodyId, KinematicShape};
 use std::fmt::Write;
 
-/// Angular frequency of contacts, rad/s: an impact takes half a period, 0.6 ms, and goes 0.2 mm deep at 1 m/s.
+/// Angular frequency of contacts, rad/s: an impact takes half a period, 0.6 ms, and penetrates 0.2 mm at 1 m/s.
 pub(super) const CONTACT_FREQUENCY: f64 = 5000.0;
-/// Longest time step, seconds: 12 in the half period of a contact.
+/// Longest time step, seconds: 12 per half period of a contact.
 pub(super) const LONGEST_STEP_S: f64 = 5e-5;
-/// Damping ratio of contacts that do not bounce: all of the speed is taken in one longest step.
+/// Damping ratio of contacts that do not bounce: they absorb the whole speed within one longest step.
 const MOST_DAMPED: f64 = 2.0;
-/// Share of the contact's equation that is solved exactly; the rest is regularisation.
+/// Share of the contact equation that is solved exactly; the rest is regularisation.
 const IMPEDANCE: f64 = 0.999;
-/// Rate at which friction takes slip away where it can, 1/s. In MuJoCo's cone slip pushes bodies apart: a rate of 4e4 takes a
-/// third of the rebound of an oblique impact between rough balls and turns them by 7°; at 1e3 they leave before they
-/// stick, as far off to the other side. In between errors are below 1.5°.
+/// Rate at which friction reduces slip, 1/s. In MuJoCo's cone, slip pushes bodies apart: a rate of 4e4 removes a third
+/// of the rebound of an oblique impact between rough balls and deflects them by 7°; at 1e3 they separate before they
+/// stick, with the same error to the other side. In between, errors are below 1.5°.
 const FRICTION_RATE: f64 = 5000.0;
-/// The slab that stands for a half space, metres: it reaches this much beyond every body. Against a plane MuJoCo finds at
-/// most three contacts of a mesh.
+/// Margin beyond every body of the slab that models a half space, metres. A slab, because MuJoCo finds at most three
+/// contacts between a plane and a mesh.
 const SLAB_MARGIN: f64 = 6.0;
 const SLAB_HALF_DEPTH: f64 = 0.5;
-/// Thickness of the prisms that stand for static triangles, metres, and the least area of one, m².
+/// Thickness of the prisms that model static triangles, metres, and their smallest area, m².
 const PRISM_THICKNESS: f64 = 0.003;
 const MIN_PRISM_AREA: f64 = 1e-8;
-/// Mass of a kinematic body, kg, and its moments of inertia, kg·m²: nothing that it strikes changes its speed within a time
-/// step, at the beginning of which it gets its own.
+/// Mass of a kinematic body, kg, and its moments of inertia, kg·m²: too large for an impact to change its velocity,
+/// which is set again before each time step.
 const KINEMATIC_MASS: f64 = 1e6;
 
 /// A kinematic body of a model.
@@ -42,7 +42,7 @@ pub(super) struct KinematicSpec {
     pub(super) friction: f64,
     pub(super) restitution: f64,
     pub(super) enabled: bool,
-    /// That of a tool, which contacts push and do not turn; `None` for what nothing stops.
+    /// Mass of a tool, which contacts push but do not turn, kg; `None` for an unstoppable body.
     pub(super) mass: Option<f64>,
 }
 
@@ -69,8 +69,8 @@ struct Writer {
     geoms: Vec<Geom>,
 }
 
-/// The text of those bodies of a scene of which `present` says so, with kinematic bodies; bodies that move have free joints, in
-/// the order of the scene, kinematic ones last.
+/// Writes the MJCF text of the bodies for which `present` is true, and of the kinematic bodies. Moving bodies have free
+/// joints, in the order of the scene, kinematic ones last.
 pub(super) fn text(scene: &Scene, present: &dyn Fn(BodyId) -> bool, kinematics: &[KinematicSpec]) -> String {
     let mut w = Writer { assets: String::new(), world: String::new(), geoms: Vec::new() };
     let reach = scene.bodies.iter().map(|b| b.x_wb.translation.abs().max_element()).fold(0.0, f64::max);
@@ -186,7 +186,7 @@ impl Writer {
 
     fn geom(&mut self, body: usize, part: Part, (friction, restitution): (f64, f64), shape: &str) {
         let name = format!("g{}", self.geoms.len());
-        // Moving bodies that are no balls meet each other by MuJoCo's own search.
+        // MuJoCo finds the contacts between moving bodies other than balls.
         let search = if part == Part::Dynamic { r#" contype="1" conaffinity="1""# } else { "" };
         let _ = writeln!(
             self.world,
@@ -196,7 +196,7 @@ impl Writer {
         self.geoms.push(Geom { name, body, part, friction, restitution });
     }
 
-    /// Every pair of which at least one moves, apart from those that MuJoCo finds itself.
+    /// Writes every pair with a moving body, except those that MuJoCo finds itself.
     fn pairs(&self) -> String {
         let mut text = String::new();
         for (i, a) in self.geoms.iter().enumerate() {
@@ -222,14 +222,13 @@ impl Writer {
     }
 }
 
-/// Stiffness and damping of contacts that give back the share `restitution` of the approach speed, as `solref`.
+/// Returns the stiffness and damping (`solref`) of contacts with coefficient of restitution `restitution`.
 fn spring(restitution: f64) -> String {
     let damper = 2.0 * damping_ratio(restitution) * CONTACT_FREQUENCY;
     format!("-{:e} -{damper:e}", CONTACT_FREQUENCY * CONTACT_FREQUENCY)
 }
 
-/// Damping ratio of contacts that give back the share `restitution` of the approach speed, found by bisection on
-/// [`rebound`].
+/// Computes the damping ratio of contacts with coefficient of restitution `restitution`, by bisection on [`rebound`].
 fn damping_ratio(restitution: f64) -> f64 {
     let (mut low, mut high) = (0.0, MOST_DAMPED);
     for _ in 0..40 {
@@ -239,9 +238,9 @@ fn damping_ratio(restitution: f64) -> f64 {
     0.5 * (low + high)
 }
 
-/// Share of the approach speed that a spring and damper which does not pull gives back, in steps as they are made here: the
-/// impact begins at the boundary of a step, and in the limit of short ones the result is that of Schwager and Pöschel
-/// (2007, eq. 19).
+/// Computes the coefficient of restitution of a spring and damper that does not pull, with the time steps of this
+/// target. The impact begins at the start of a step; in the limit of short steps the result is that of Schwager and
+/// Pöschel (2007, eq. 19).
 fn rebound(ratio: f64) -> f64 {
     let h = LONGEST_STEP_S * CONTACT_FREQUENCY;
     let (mut x, mut v) = (-h, -1.0);
@@ -255,7 +254,7 @@ fn rebound(ratio: f64) -> f64 {
     v.max(0.0)
 }
 
-/// The corners of a triangle and of its copy below.
+/// Returns the corners of a triangle and of its copy below.
 fn prism(mesh: &Mesh, triangle: usize) -> Option<Vec<DVec3>> {
     let corners = mesh.corners(triangle);
     let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
@@ -288,7 +287,7 @@ mod tests {
             let back = rebound(damping_ratio(restitution));
             assert!((back - restitution).abs() < 0.03, "{restitution}: {back}");
         }
-        // What is to stay bounces at a sixteenth: the spring still lifts it out.
+        // A contact without restitution still rebounds with a sixteenth of the speed: the spring pushes the body out.
         assert!(rebound(damping_ratio(0.0)) < 0.07);
         assert!(damping_ratio(0.0) > damping_ratio(0.5) && damping_ratio(0.5) > damping_ratio(0.95));
     }

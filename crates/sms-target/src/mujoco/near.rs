@@ -1,17 +1,17 @@
-//! Whether what strikes, or something else that moves, is about to touch something.
+//! Proximity tests of moving bodies and strikers.
 
 use glamx::{DPose3, DVec3};
 use sms_core::{Aabb, Mesh};
 use sms_scene::BodyShape;
 use sms_sim::KinematicShape;
 
-/// Spheres and boxes that hold the parts of a body, in its frame; `None` for a half space.
+/// Bounding spheres and boxes of the parts of a body, in its frame; `None` for a half space.
 pub(super) struct Bounds(Option<Vec<Part>>);
 
 struct Part {
     center: DVec3,
     radius: f64,
-    /// Of a box along the axes of the body's frame.
+    /// Half extents of the box along the axes of the body's frame, metres.
     half: DVec3,
 }
 
@@ -30,15 +30,15 @@ impl Bounds {
         })
     }
 
-    /// Radius of a sphere about the body's origin that holds it; infinite for a half space.
+    /// Returns the radius of the bounding sphere about the body's origin; infinite for a half space.
     pub(super) fn reach(&self) -> f64 {
         self.0.as_ref().map_or(f64::INFINITY, |parts| {
             parts.iter().map(|p| p.center.length() + p.radius).fold(0.0, f64::max)
         })
     }
 
-    /// Whether two bodies come within `margin` metres of each other: spheres of each against boxes of the other. Never false
-    /// where they do; true of a half space.
+    /// Returns whether two bodies may be within `margin` metres of each other, by the spheres of each and the boxes of
+    /// the other. Has false positives only; always true for a half space.
     pub(super) fn meets(&self, x_wb: &DPose3, other: &Self, x_wo: &DPose3, margin: f64) -> bool {
         let (Some(own), Some(theirs)) = (&self.0, &other.0) else { return true };
         let x_bo = x_wb.inv_mul(x_wo);
@@ -52,7 +52,8 @@ impl Bounds {
         })
     }
 
-    /// Whether a box about the origin of `x_wt` comes within `margin` metres of the body at `x_wb`. Never false where it does.
+    /// Returns whether a box about the origin of `x_wt` may be within `margin` metres of the body at `x_wb`. Has false
+    /// positives only.
     pub(super) fn is_near(&self, x_wb: &DPose3, shape: KinematicShape, x_wt: &DPose3, margin: f64) -> bool {
         let half = match shape {
             KinematicShape::Cuboid { half } => half,
@@ -73,7 +74,7 @@ impl Bounds {
 }
 
 impl Part {
-    /// Whether a point of the body's frame is within `reach` of the box.
+    /// Returns whether a point in the body's frame is within `reach` of the box.
     fn is_within(&self, p: DVec3, reach: f64) -> bool {
         let from_center = p - self.center;
         from_center.distance_squared(from_center.clamp(-self.half, self.half)) < reach * reach
@@ -118,7 +119,7 @@ mod tests {
         let slab = Mesh::cuboid(DVec3::splat(0.02));
         let hulls = vec![slab.transformed(&at(0.2, 0.0, 0.0)), slab];
         let pair = body(BodyShape::Hulls { hulls });
-        assert!(pair.is_near(&at(-0.2, 0.0, 0.0), shape, &tool, 0.0), "the second part is there");
+        assert!(pair.is_near(&at(-0.2, 0.0, 0.0), shape, &tool, 0.0), "the second part is near");
         assert!(!pair.is_near(&at(0.2, 0.0, 0.0), shape, &tool, 0.0));
         let floor = body(BodyShape::HalfSpace);
         assert!(floor.is_near(&DPose3::IDENTITY, shape, &at(0.0, 0.0, 0.0305), 1e-3));

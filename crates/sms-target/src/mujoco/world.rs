@@ -1,4 +1,4 @@
-//! The adapter between the seam and MuJoCo.
+//! Adapter from the `World` trait to MuJoCo.
 
 use super::library::{Data, Library};
 use super::model::{KinematicSpec, LONGEST_STEP_S, text};
@@ -8,61 +8,62 @@ use sms_scene::{Body, BodyKind, Scene};
 use sms_sim::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
 use std::sync::Arc;
 
-/// Share by which a tool's mass may differ from that of the model, which has to be compiled for another one.
+/// Largest relative difference between a tool's mass and the model's; beyond it the model is recompiled.
 const MASS_TOLERANCE: f64 = 1e-3;
-/// Distance, beyond what both travel in a step, from which a tool's mass matters, metres. A model takes tens of milliseconds
-/// to compile; compiling it whenever the arm had moved took as long as the shot.
+/// Distance, beyond the travel of both in a step, below which a tool's mass matters, metres. Compiling a model takes
+/// tens of milliseconds; recompiling after every motion of the arm took as long as the shot.
 const NEAR_M: f64 = 1e-3;
-/// How far a turning body reaches at most, metres.
+/// Largest lever arm of a rotating body, metres.
 const REACH_M: f64 = 0.5;
 
-/// Time over which a body must stay where it is to fall asleep, seconds, and the largest way, metres, and turn, radians, in
-/// that time: a body that stands on an edge and is so near to its balance needs seconds to fall.
+/// Time for which a body must rest before it falls asleep, seconds, and its largest displacement, metres, and rotation,
+/// radians, in that time. A body balanced on an edge needs seconds to fall.
 const WINDOW_S: f64 = 0.1;
 const MOVED_M: f64 = 1e-5;
 const TURNED_RAD: f64 = 1e-4;
-/// Distance at which something awake wakes a body, metres, beyond what both travel in a step: one that is struck in a step
-/// travels up to 3 mm in it.
+/// Distance at which an awake body wakes a sleeping one, metres, beyond the travel of both in a step: a struck body
+/// travels up to 3 mm in a step.
 const WAKE_M: f64 = 0.005;
 
 /// A world of MuJoCo.
 ///
-/// What sleeps is not in the model: MuJoCo solves for each contact of a body at rest in each of its short steps, which took nine
-/// tenths of a shot. The model is compiled anew, with the body in it, before anything that moves comes near.
+/// Sleeping bodies are not in the model, because MuJoCo solves every contact of a body at rest in each of its short
+/// steps, which took nine tenths of a shot's time. The model is recompiled with the body before a moving body comes
+/// near.
 pub(super) struct MujocoWorld {
     engine: &'static str,
     library: &'static Library,
     scene: Scene,
     may_sleep: bool,
-    /// The model of what is awake or fixed; `None` while nothing that could move is.
+    /// The model of the awake and fixed bodies; `None` while no movable body is awake.
     compiled: Option<Compiled>,
-    /// Positions and velocities of the free joints, 7 and 6 of each, and the last accelerations.
+    /// Positions and velocities of the free joints, 7 and 6 values per joint, and the last accelerations.
     q: Vec<f64>,
     v: Vec<f64>,
     a: Vec<f64>,
-    /// Six of each body, the world's first.
+    /// Six values per body, starting with the world.
     wrenches: Vec<f64>,
     bodies: Vec<BodyInfo>,
-    /// Of the scene's bodies.
+    /// Bounds of the scene's bodies.
     bounds: Vec<Bounds>,
-    /// Which of the scene's bodies sleep.
+    /// Sleep state of the scene's bodies.
     asleep: Vec<bool>,
-    /// Time since places of the scene's bodies were noted, and these.
+    /// Time since the poses of the scene's bodies were noted, seconds, and these poses.
     elapsed_s: f64,
     places: Vec<DPose3>,
     kinematics: Vec<Kinematic>,
-    /// A body with which MuJoCo refuses the model; nothing moves any more then.
+    /// A body with which MuJoCo refuses the model; the world is unusable then.
     failed: Option<BodyId>,
     saved: Option<Saved>,
 }
 
 #[derive(Clone, Copy)]
 struct BodyInfo {
-    /// Index of its free joint; none for what stands.
+    /// Index of its free joint; `None` for a fixed body.
     joint: Option<usize>,
     /// Centre of mass in the body's frame.
     com: DVec3,
-    /// Where it stands, if it does.
+    /// Pose of a fixed body.
     x_wb: DPose3,
 }
 
@@ -70,7 +71,7 @@ struct BodyInfo {
 struct Kinematic {
     body: BodyId,
     spec: KinematicSpec,
-    /// Mass that a tool has now; that of the model follows when the tool comes near something.
+    /// Current mass of a tool; the model's mass follows when the tool comes near a body.
     mass: Option<f64>,
     target_x_wk: DPose3,
 }
@@ -85,14 +86,14 @@ struct Saved {
     kinematics: Vec<Kinematic>,
 }
 
-/// A model with the bodies that are in it.
+/// A model and its bodies.
 struct Compiled {
     data: Data,
-    /// In the model's order, the world left out.
+    /// Bodies in the model's order, without the world.
     bodies: Vec<BodyId>,
-    /// Of their joints, in the model's order.
+    /// Joints of these bodies, in the model's order.
     joints: Vec<usize>,
-    // Of the model; kept for their memory.
+    // Buffers in the model's order.
     q: Vec<f64>,
     v: Vec<f64>,
     a: Vec<f64>,
@@ -151,7 +152,7 @@ impl MujocoWorld {
         Ok(world)
     }
 
-    /// Compiles the model anew, for other bodies, kinematic ones or collisions.
+    /// Recompiles the model after a change of bodies, kinematic bodies or collisions.
     fn recompile(&mut self) -> Result<(), String> {
         let specs: Vec<KinematicSpec> = self.kinematics.iter().map(|k| k.spec).collect();
         let asleep = &self.asleep;
@@ -176,7 +177,7 @@ impl MujocoWorld {
         Ok(())
     }
 
-    /// Wakes everything that something awake is about to touch, and what that touches.
+    /// Wakes all bodies that an awake body may touch in this step, and recursively their neighbours.
     fn wake_neighbours(&mut self, dt: f64) {
         if !self.asleep.contains(&true) {
             return;
@@ -210,12 +211,12 @@ impl MujocoWorld {
         }
     }
 
-    /// Whether a body of the scene moves and does not sleep.
+    /// Returns whether a body of the scene is movable and awake.
     fn is_awake(&self, body: BodyId) -> bool {
         self.bodies[body].joint.is_some() && !self.asleep[body]
     }
 
-    /// Whether two bodies of the scene may touch in a step of `dt`.
+    /// Returns whether two bodies of the scene may touch in a step of `dt`.
     fn is_beside(&self, a: BodyId, b: BodyId, dt: f64) -> bool {
         let (of_a, of_b) = (self.state(a), self.state(b));
         let speed = of_a.v_w.distance(of_b.v_w) + (of_a.w_w.length() + of_b.w_w.length()) * REACH_M;
@@ -225,7 +226,7 @@ impl MujocoWorld {
             && self.bounds[a].meets(&of_a.x_wb, &self.bounds[b], &of_b.x_wb, margin)
     }
 
-    /// After a step of `dt`: puts to sleep what has stayed where it is, unless something that has not is beside it.
+    /// Puts resting bodies without a moving neighbour to sleep, after a step of `dt`.
     fn put_to_sleep(&mut self, dt: f64) {
         self.elapsed_s += dt;
         if !self.may_sleep || self.elapsed_s < WINDOW_S {
@@ -278,7 +279,7 @@ impl MujocoWorld {
         }
     }
 
-    /// Compiles the model anew for a body that strikes, wakes or falls asleep.
+    /// Recompiles the model for a body that strikes, wakes or falls asleep.
     fn recompile_for(&mut self, body: BodyId) {
         if self.recompile().is_err() {
             self.failed = self.failed.or(Some(body));
@@ -291,13 +292,13 @@ impl MujocoWorld {
         let r = state.x_wb.rotation;
         let p = state.x_wb.translation;
         self.q[7 * joint..7 * joint + 7].copy_from_slice(&[p.x, p.y, p.z, r.w, r.x, r.y, r.z]);
-        // The joint's velocity is that of the frame's origin, the angular one is in the frame.
+        // The joint's linear velocity is that of the frame's origin; its angular velocity is in the body's frame.
         let v = state.v_w - state.w_w.cross(r * com);
         let w = r.inverse() * state.w_w;
         self.v[6 * joint..6 * joint + 6].copy_from_slice(&[v.x, v.y, v.z, w.x, w.y, w.z]);
     }
 
-    /// Adds a body that strikes.
+    /// Adds a striker.
     fn add_striker(&mut self, spec: KinematicSpec) -> BodyId {
         let body = self.bodies.len();
         let joint = self.q.len() / 7;
@@ -313,7 +314,7 @@ impl MujocoWorld {
         body
     }
 
-    /// Gives tools that may touch something in a step of `dt` the mass that they have.
+    /// Updates the model's mass of tools that may touch a body in a step of `dt`.
     fn weigh_tools(&mut self, dt: f64) {
         for index in 0..self.kinematics.len() {
             let k = &self.kinematics[index];
@@ -356,7 +357,7 @@ impl Compiled {
             self.q[7 * k..7 * k + 7].copy_from_slice(&q[7 * joint..7 * joint + 7]);
             self.v[6 * k..6 * k + 6].copy_from_slice(&v[6 * joint..6 * joint + 6]);
         }
-        // The world is MuJoCo's first body, and ours.
+        // Body 0 of MuJoCo is the world.
         for (k, &body) in self.bodies.iter().enumerate() {
             let (to, from) = (6 * (k + 1), 6 * (body + 1));
             self.wrenches[to..to + 6].copy_from_slice(&wrenches[from..from + 6]);
@@ -371,7 +372,7 @@ impl Compiled {
         }
     }
 
-    /// Lets the solver start from accelerations of all joints of the world.
+    /// Sets the solver's warm start from the accelerations of all joints of the world.
     fn warm_start(&mut self, a: &[f64]) {
         for (k, &joint) in self.joints.iter().enumerate() {
             self.a[6 * k..6 * k + 6].copy_from_slice(&a[6 * joint..6 * joint + 6]);
@@ -391,7 +392,7 @@ fn compile(
     Data::new(Arc::new(model), bodies + kinematics.len() + 1)
 }
 
-/// The body of a refused scene that is refused alone, if one is.
+/// Finds a body of a refused scene that is also refused alone.
 fn culprit<'a>(library: &'static Library, scene: &'a Scene) -> Option<&'a str> {
     let alone = |body: &Body| Scene { bodies: vec![body.clone()], ..scene.clone() };
     let refused = scene.bodies.iter().find(|b| compile(library, &alone(b), &|_| true, &[]).is_err());
@@ -407,7 +408,7 @@ impl World for MujocoWorld {
         if self.failed.is_some() {
             return;
         }
-        // MuJoCo's search for contacts need not end for what is not finite; the state says what is wrong.
+        // MuJoCo's contact search may not terminate for non-finite states; the caller detects them in the state.
         if !self.q.iter().chain(&self.v).chain(&self.wrenches).all(|x| x.is_finite()) {
             return;
         }
@@ -418,7 +419,7 @@ impl World for MujocoWorld {
         }
         let steps = (dt / LONGEST_STEP_S - 1e-9).ceil().max(1.0);
         let h = dt / steps;
-        // None for tools, which contacts push.
+        // `None` for tools, which contacts push.
         let motions: Vec<Option<(BodyId, DPose3, DVec3, DVec3)>> = self
             .kinematics
             .iter()
@@ -480,7 +481,7 @@ impl World for MujocoWorld {
         self.put(body, state);
         self.wake(body);
         if let Some(place) = self.places.get_mut(body) {
-            // It has moved.
+            // Restarts the rest detection of this body.
             *place = DPose3::from_translation(DVec3::INFINITY);
         }
     }

@@ -1,8 +1,8 @@
-//! A robot's arm as an articulation in reduced coordinates.
+//! A robot's arm as a PhysX articulation in reduced coordinates.
 //!
-//! Links have the masses and inertias of the robot's model, joints its rotors' inertia. Torques are set from outside; the
-//! joints' friction and damping are taken off them before each step, by the model's law (PhysX's own joint friction is
-//! another). Limits of position are the controller's and the checks' affair. Of the shapes only the fist is there.
+//! Links have the masses and inertias of the robot's model, joints the inertia of its rotors. The caller sets the
+//! torques; joint friction and damping are subtracted before each step by the model's law, which differs from PhysX's
+//! joint friction. The controller and the checks enforce position limits. The fist is the only collision shape.
 
 use super::sdk::{Sdk, take_error};
 use super::shapes::{Shape, transform, vector};
@@ -23,7 +23,8 @@ pub(super) struct Arm {
     tau: Vec<f64>,
 }
 
-/// Poses of the joints' frames in the world. `None` unless every joint turns, stands on the one before, and carries mass.
+/// Returns the poses of the joint frames in the world. `None` unless the robot is a serial chain of revolute joints
+/// with massive links.
 fn joint_poses(model: &RobotModel, q: &[f64]) -> Option<Vec<DPose3>> {
     let mut x_wj = model.x_wr();
     let mut poses = Vec::new();
@@ -39,18 +40,18 @@ fn joint_poses(model: &RobotModel, q: &[f64]) -> Option<Vec<DPose3>> {
 }
 
 impl Arm {
-    /// An arm in a scene, at rest at the start of a strike. `fist` is the shape that strikes, in the tool's frame. `None` for a
-    /// robot that is no chain of turning joints.
+    /// Adds an arm to a scene, at rest at the start of a strike. `fist` is the striking shape, in the tool's frame.
+    /// `None` if the robot is not a serial chain of revolute joints.
     ///
     /// # Errors
-    /// What PhysX says.
+    /// PhysX's error message.
     pub(super) fn new(scene: *mut PxScene, strike: &ArmStrike, fist: &Shape) -> Result<Option<Self>, String> {
         let model = &strike.model;
         let Some(poses) = joint_poses(model, &strike.q_start) else { return Ok(None) };
         let mut ws = Workspace::default();
         model.forward_kinematics(&strike.q_start, &mut ws);
         let x_lt = poses[poses.len() - 1].inverse() * model.frame_pose(model.tool(), &ws);
-        // Before the lock: what fails below is dropped after it is given up, and takes it.
+        // Created before the lock: on failure, dropping these takes the lock again.
         let mut arm = Self {
             model: model.clone(),
             articulation: null_mut(),
@@ -62,18 +63,18 @@ impl Arm {
         let sdk = Sdk::get();
         let _lock = sdk.lock();
         take_error();
-        // SAFETY: creates an articulation, which this owns from then on, and sets it up before it is in the scene; links and
-        // joints belong to it. The scene outlives it: `Instance` releases its arms first.
+        // SAFETY: creates an articulation that `Self` owns and sets it up before it is in the scene; links and joints
+        // belong to it. The scene outlives it: `Instance` releases its arms first.
         unsafe {
             let articulation = PxPhysics_createArticulationReducedCoordinate_mut(sdk.physics());
             if articulation.is_null() {
-                return Err(take_error().unwrap_or_else(|| "PhysX makes no articulation".to_owned()));
+                return Err(take_error().unwrap_or_else(|| "PhysX created no articulation".to_owned()));
             }
             arm.articulation = articulation;
             let flags = PxArticulationFlags::FixBase | PxArticulationFlags::DisableSelfCollision;
             PxArticulationReducedCoordinate_setArticulationFlags_mut(articulation, flags);
-            // TGS moves the joints once in each of its iterations, in single precision: of sixteen slow moves of 2e-6 rad each
-            // loses several percent to rounding. In contact the other body's iterations count.
+            // TGS moves the joints in each of its iterations in single precision. With sixteen iterations, each slow
+            // move of 2e-6 rad would lose several percent to rounding. In contact, the other body's iterations count.
             PxArticulationReducedCoordinate_setSolverIterationCounts_mut(articulation, 1, 1);
             PxArticulationReducedCoordinate_setSleepThreshold_mut(articulation, 0.0);
             let base = PxArticulationReducedCoordinate_createLink_mut(
@@ -84,19 +85,19 @@ impl Arm {
             let mut parent = base;
             for (joint, x_wj) in model.joints().iter().zip(&poses) {
                 parent = link(articulation, parent, joint, x_wj)
-                    .ok_or_else(|| take_error().unwrap_or_else(|| "PhysX makes no link".to_owned()))?;
+                    .ok_or_else(|| take_error().unwrap_or_else(|| "PhysX created no link".to_owned()))?;
             }
             arm.tool = parent;
             PxShape_setLocalPose_mut(fist.as_ptr(), &transform(&x_lt));
             if !PxRigidActor_attachShape_mut(parent.cast(), fist.as_ptr()) {
-                return Err(take_error().unwrap_or_else(|| "PhysX refuses the fist".to_owned()));
+                return Err(take_error().unwrap_or_else(|| "PhysX rejected the fist".to_owned()));
             }
             if !PxScene_addArticulation_mut(scene, articulation) {
-                return Err(take_error().unwrap_or_else(|| "PhysX refuses the arm".to_owned()));
+                return Err(take_error().unwrap_or_else(|| "PhysX rejected the arm".to_owned()));
             }
             arm.cache = PxArticulationReducedCoordinate_createCache(articulation);
             if arm.cache.is_null() {
-                return Err(take_error().unwrap_or_else(|| "PhysX has no memory for an arm".to_owned()));
+                return Err(take_error().unwrap_or_else(|| "PhysX is out of memory for an arm".to_owned()));
             }
             PxArticulationReducedCoordinate_zeroCache(articulation, arm.cache);
             for (i, q) in strike.q_start.iter().enumerate() {
@@ -108,14 +109,14 @@ impl Arm {
         Ok(Some(arm))
     }
 
-    /// The link that carries the tool, an actor.
+    /// Returns the link that carries the tool, as an actor.
     pub(super) fn tool_link(&self) -> *mut PxRigidActor {
         self.tool.cast()
     }
 
-    /// Positions and speeds of the joints.
+    /// Reads the positions and velocities of the joints.
     pub(super) fn joints(&self, q: &mut [f64], qd: &mut [f64]) {
-        // SAFETY: the articulation is in a scene, no step is under way, and the cache has an entry for each joint.
+        // SAFETY: the articulation is in a scene, no step is running, and the cache has an entry for each joint.
         unsafe {
             let get = PxArticulationCacheFlags::Position | PxArticulationCacheFlags::Velocity;
             PxArticulationReducedCoordinate_copyInternalStateToCache(self.articulation, self.cache, get);
@@ -130,7 +131,7 @@ impl Arm {
         self.tau.copy_from_slice(tau);
     }
 
-    /// Hands the torques, less friction, to PhysX for the next step.
+    /// Passes the torques minus friction to PhysX for the next step.
     pub(super) fn before_step(&mut self) {
         let n = self.tau.len();
         let (mut q, mut qd) = (vec![0.0; n], vec![0.0; n]);
@@ -146,7 +147,8 @@ impl Arm {
         }
     }
 
-    /// Pose of the tool, velocity of its origin and angular velocity, from those of its link's centre of mass.
+    /// Returns the pose of the tool, the velocity of its origin and its angular velocity, from those of its link's
+    /// centre of mass.
     pub(super) fn tool(&self, x_wl: &DPose3, v_com_w: DVec3, w_w: DVec3) -> (DPose3, DVec3, DVec3) {
         let x_wt = *x_wl * self.x_lt;
         let com = self.model.joints().last().and_then(|j| j.mass).map_or(DVec3::ZERO, |m| m.com());
@@ -154,9 +156,9 @@ impl Arm {
         (x_wt, v_com_w + w_w.cross(arm_w), w_w)
     }
 
-    /// Takes it out of the scene.
+    /// Removes the arm from the scene.
     pub(super) fn leave(&mut self, scene: *mut PxScene) {
-        // SAFETY: the articulation is alive, and no step is under way.
+        // SAFETY: the articulation is alive, and no step is running.
         unsafe {
             if !PxArticulationReducedCoordinate_getScene(self.articulation).is_null() {
                 PxScene_removeArticulation_mut(scene, self.articulation, true);
@@ -165,10 +167,10 @@ impl Arm {
     }
 }
 
-/// A link at the end of a joint.
+/// Creates a link at the end of a joint.
 ///
 /// # Safety
-/// Articulation and parent are alive, and the articulation is in no scene.
+/// The articulation and the parent are alive, and the articulation is not in a scene.
 unsafe fn link(
     articulation: *mut PxArticulationReducedCoordinate,
     parent: *mut PxArticulationLink,
@@ -176,7 +178,7 @@ unsafe fn link(
     x_wj: &DPose3,
 ) -> Option<*mut PxArticulationLink> {
     let mass = joint.mass.as_ref()?;
-    // SAFETY: the caller's.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let link = PxArticulationReducedCoordinate_createLink_mut(articulation, parent, &transform(x_wj));
         if link.is_null() {
@@ -190,7 +192,7 @@ unsafe fn link(
         PxRigidBody_setLinearDamping_mut(body, 0.0);
         PxRigidBody_setAngularDamping_mut(body, 0.0);
         let inbound = PxArticulationLink_getInboundJoint(link);
-        // PhysX's joints turn about x.
+        // PhysX's joints rotate about x.
         let x_to_axis = DPose3::from_parts(DVec3::ZERO, DQuat::from_rotation_arc(DVec3::X, joint.axis));
         PxArticulationJointReducedCoordinate_setJointType_mut(
             inbound,

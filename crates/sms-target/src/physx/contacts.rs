@@ -1,4 +1,4 @@
-//! Which pairs make contacts, and that balls' friction acts on velocities alone.
+//! Collision filtering, and contact modification that lets friction of balls act on velocities alone.
 
 use physx_sys::*;
 use std::ffi::c_void;
@@ -9,12 +9,12 @@ pub(super) const GROUP_STATIC: u16 = 1;
 pub(super) const GROUP_DYNAMIC: u16 = 2;
 pub(super) const GROUP_KINEMATIC: u16 = 3;
 pub(super) const GROUP_TOOL: u16 = 4;
-/// Second word of the filter data of shapes whose contacts go through [`on_modify`].
+/// Second word of the filter data of shapes with contacts that [`on_modify`] modifies.
 pub(super) const MODIFIED: u32 = 1;
 
-/// PhysX's default filter, but that what moves as it is told collides neither with its like nor with what stands.
+/// PhysX's default filter, except that kinematic bodies collide neither with each other nor with static ones.
 unsafe extern "C" fn filter(info: *mut FilterShaderCallbackInfo) -> PxFilterFlags {
-    // SAFETY: PhysX passes a description of the pair that lives during the call.
+    // SAFETY: PhysX passes a description of the pair that is valid during the call.
     let (first, second, flags) =
         unsafe { ((*info).filterData0, (*info).filterData1, &mut *(*info).pairFlags) };
     let is = |data: &PxFilterData, group: u16| data.word0 == u32::from(group);
@@ -29,12 +29,13 @@ unsafe extern "C" fn filter(info: *mut FilterShaderCallbackInfo) -> PxFilterFlag
     PxFilterFlags::empty()
 }
 
-/// Gives each contact a target velocity, zero. PhysX then solves its friction by velocities: else it puts the displacement
-/// within the step back, which turns a ball that is struck obliquely by up to 7° (the slip is reversed instead of ended).
+/// Sets the target velocity of each contact to zero. PhysX then solves its friction by velocities. Otherwise it reverts
+/// the displacement within the step, which deflects an obliquely struck ball by up to 7° (the slip is reversed instead
+/// of stopped).
 unsafe extern "C" fn on_modify(_this: *mut c_void, pairs: *mut PxContactModifyPair, count: u32) {
     let zero = PxVec3 { x: 0.0, y: 0.0, z: 0.0 };
     for pair in 0..count as usize {
-        // SAFETY: PhysX passes an array of `count` pairs, whose contacts are there during the call.
+        // SAFETY: PhysX passes an array of `count` pairs; their contacts are valid during the call.
         unsafe {
             let contacts = &raw mut (*pairs.add(pair)).contacts;
             for index in 0..PxContactSet_size(contacts) {
@@ -49,8 +50,8 @@ unsafe extern "C" fn on_drop(_this: *mut c_void) {}
 type Modify = unsafe extern "C" fn(*mut c_void, *mut PxContactModifyPair, u32);
 type Destructor = unsafe extern "C" fn(*mut c_void);
 
-/// The table of virtual functions of `PxContactModifyCallback` as the Itanium C++ ABI lays it out: its one method, then both
-/// destructors, which PhysX never calls. `physx-sys` wraps the class's method and has no way to implement it.
+/// The virtual function table of `PxContactModifyCallback` in the layout of the Itanium C++ ABI: its only method, then
+/// both destructors, which PhysX never calls. `physx-sys` can call the method but not implement it.
 #[repr(C)]
 struct Table {
     on_contact_modify: Modify,
@@ -67,9 +68,9 @@ static TABLE: Table =
     Table { on_contact_modify: on_modify, complete_destructor: on_drop, deleting_destructor: on_drop };
 static CALLBACK: Callback = Callback { table: &TABLE };
 
-/// Puts both into the description of a scene. Contacts are modified where a shape asks for it.
+/// Sets the filter and the callback in the description of a scene. Contacts are modified if a shape requests it.
 pub(super) fn install(description: &mut PxSceneDesc) {
-    // SAFETY: writes the description; the filter is a function, the callback is never written and lives for ever.
+    // SAFETY: writes the description; the filter is a function, and the callback is a constant static.
     unsafe { enable_custom_filter_shader(description, filter, 0) };
     description.contactModifyCallback = from_ref(&CALLBACK).cast_mut().cast();
 }

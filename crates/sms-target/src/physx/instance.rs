@@ -1,4 +1,4 @@
-//! A scene of PhysX with its actors: what is thrown away and made again when a world is restored.
+//! A PhysX scene with its actors; restoring a world discards it and builds a new one.
 
 use super::arm::Arm;
 use super::contacts::{self, GROUP_DYNAMIC, GROUP_KINEMATIC, GROUP_STATIC, GROUP_TOOL};
@@ -11,12 +11,12 @@ use sms_core::MassProperties;
 use sms_robots::ArmStrike;
 use std::ptr::{null, null_mut};
 
-/// Moment of inertia of a tool, kg·m²: no contact turns it. TGS solves for angular velocities times the root of the inertia and
-/// leaves that of an infinite one out: what a turning tool touched then felt the speed of its middle, and not that of the
-/// touched point (0.6 % too fast a ball, where the blow had turned the arm).
+/// Moment of inertia of a tool, kg·m²: large enough that no contact turns it, but finite. TGS solves for angular
+/// velocity times the root of the inertia and omits an infinite one: a body touched by a rotating tool then felt the
+/// velocity of the tool's centre instead of the contact point's, and balls were 0.6 % too fast.
 const TOOL_MOMENT: f64 = 1e3;
 
-/// What a body is made of, apart from its state.
+/// The shapes and the role of a body, without its state.
 pub(super) struct Blueprint {
     pub(super) shapes: Vec<Shape>,
     pub(super) role: Role,
@@ -31,10 +31,10 @@ pub(super) enum Role {
         moments: PxVec3,
         is_ball: bool,
     },
-    /// A dynamic body of infinite mass that is given its velocity. PhysX's own kinematic bodies derive it from two poses,
-    /// which in single precision and at the short steps of impacts is off by percents.
+    /// A dynamic body of infinite mass with prescribed velocity. PhysX's own kinematic bodies derive the velocity from
+    /// two poses; in single precision and at the short steps of impacts it is wrong by percents.
     Kinematic,
-    /// A dynamic body without weight that contacts push and do not turn. Its mass is given before each step.
+    /// A dynamic body without gravity that contacts push but do not turn. Its mass is set before each step.
     Tool,
     /// The link of an articulation that carries the tool.
     Arm,
@@ -58,7 +58,7 @@ pub(super) struct Kept {
     pub(super) x_wb: PxTransform,
     pub(super) v_w: PxVec3,
     pub(super) w_w: PxVec3,
-    /// Seconds until it may sleep; zero or below: it sleeps.
+    /// Seconds until it may sleep; it sleeps at zero or below.
     pub(super) awake_s: Option<f32>,
 }
 
@@ -78,20 +78,20 @@ pub(super) struct Instance {
     arms: Vec<(usize, Arm)>,
 }
 
-// SAFETY: a scene and its actors are used by the one thread that owns the instance; PhysX keeps nothing of a scene in
+// SAFETY: only the thread that owns the instance uses the scene and its actors. PhysX keeps no data of a scene in
 // thread-local storage between calls, and the dispatcher has no threads of its own.
 unsafe impl Send for Instance {}
 
 impl Instance {
-    /// An empty scene.
+    /// Creates an empty scene.
     ///
     /// # Errors
-    /// What PhysX says.
+    /// PhysX's error message.
     pub(super) fn new(tuning: &Tuning, gravity_w: DVec3) -> Result<Self, String> {
         let sdk = Sdk::get();
         let _lock = sdk.lock();
         take_error();
-        // SAFETY: the descriptor is a plain value whose pointers, dispatcher and filter shader, outlive the scene.
+        // SAFETY: the descriptor is a plain value; its pointers to dispatcher and filter shader outlive the scene.
         unsafe {
             let dispatcher = phys_PxDefaultCpuDispatcherCreate(
                 0,
@@ -115,7 +115,7 @@ impl Instance {
             let scene = PxPhysics_createScene_mut(sdk.physics(), &d);
             if scene.is_null() {
                 PxDefaultCpuDispatcher_release_mut(dispatcher);
-                return Err(take_error().unwrap_or_else(|| "PhysX makes no scene".to_owned()));
+                return Err(take_error().unwrap_or_else(|| "PhysX created no scene".to_owned()));
             }
             Ok(Self { scene, dispatcher, actors: Vec::new(), arms: Vec::new() })
         }
@@ -124,7 +124,7 @@ impl Instance {
     /// Adds a body.
     ///
     /// # Errors
-    /// What PhysX says.
+    /// PhysX's error message.
     pub(super) fn add(
         &mut self,
         blueprint: &Blueprint,
@@ -133,12 +133,12 @@ impl Instance {
         may_sleep: bool,
     ) -> Result<(), String> {
         if matches!(blueprint.role, Role::Arm) {
-            return Err("an arm is made by `add_arm`".to_owned());
+            return Err("an arm must be added with `add_arm`".to_owned());
         }
         let sdk = Sdk::get();
         let _lock = sdk.lock();
         take_error();
-        // SAFETY: creates an actor, which this instance owns from then on, and sets it up before it is in a scene.
+        // SAFETY: creates an actor that this instance owns, and sets it up before it is in a scene.
         let actor: *mut PxRigidActor = unsafe {
             match blueprint.role {
                 Role::Static => PxPhysics_createRigidStatic_mut(sdk.physics(), &kept.x_wb).cast(),
@@ -146,17 +146,17 @@ impl Instance {
             }
         };
         if actor.is_null() {
-            return Err(take_error().unwrap_or_else(|| "PhysX makes no body of it".to_owned()));
+            return Err(take_error().unwrap_or_else(|| "PhysX created no body".to_owned()));
         }
         self.actors.push(actor);
         for shape in &blueprint.shapes {
             // SAFETY: both are alive; the actor takes a reference of its own.
             if !unsafe { PxRigidActor_attachShape_mut(actor, shape.as_ptr()) } {
-                return Err(take_error().unwrap_or_else(|| "PhysX refuses a shape of it".to_owned()));
+                return Err(take_error().unwrap_or_else(|| "PhysX rejected a shape".to_owned()));
             }
         }
         let body: *mut PxRigidDynamic = actor.cast();
-        // SAFETY: `body` is used where the role says that the actor is dynamic.
+        // SAFETY: `body` is used only if the role is that of a dynamic actor.
         unsafe {
             match &blueprint.role {
                 Role::Static | Role::Arm => {}
@@ -176,7 +176,7 @@ impl Instance {
                     if let Some(speed) = tuning.push_out_speed {
                         PxRigidBody_setMaxDepenetrationVelocity_mut(body.cast(), speed);
                     }
-                    // Kinetic energy by mass.
+                    // Kinetic energy per mass.
                     if !may_sleep {
                         PxRigidDynamic_setSleepThreshold_mut(body, 0.0);
                     } else if let Some((ball, other)) = tuning.sleep_speeds {
@@ -185,7 +185,7 @@ impl Instance {
                     }
                 }
                 Role::Kinematic | Role::Tool => {
-                    // To PhysX no mass is an infinite one, and no moment of inertia an infinite one.
+                    // PhysX treats zero mass and zero moments of inertia as infinite.
                     let (mass, moment) =
                         if matches!(blueprint.role, Role::Tool) { (1.0, TOOL_MOMENT) } else { (0.0, 0.0) };
                     PxRigidBody_setMass_mut(body.cast(), mass);
@@ -212,10 +212,10 @@ impl Instance {
         Ok(())
     }
 
-    /// Adds an arm, whose tool is the body that comes next. `false` where PhysX cannot have this robot.
+    /// Adds an arm; its tool becomes the next body. Returns `false` if PhysX cannot simulate this robot.
     ///
     /// # Errors
-    /// What PhysX says.
+    /// PhysX's error message.
     pub(super) fn add_arm(&mut self, strike: &ArmStrike, fist: &Shape) -> Result<bool, String> {
         let Some(arm) = Arm::new(self.scene, strike, fist)? else { return Ok(false) };
         self.arms.push((self.actors.len(), arm));
@@ -224,7 +224,7 @@ impl Instance {
         Ok(true)
     }
 
-    /// The arm whose tool is a body.
+    /// Returns the arm to which a tool belongs.
     pub(super) fn arm(&mut self, index: usize) -> Option<&mut Arm> {
         self.arms.iter_mut().find(|a| a.0 == index).map(|a| &mut a.1)
     }
@@ -233,10 +233,10 @@ impl Instance {
         self.arms.iter().find(|a| a.0 == index).map(|a| &a.1)
     }
 
-    /// The state of a body that is no static one.
+    /// Returns the state of a body that is not static.
     pub(super) fn kept(&self, index: usize, role: &Role) -> Kept {
         let actor = self.actors[index];
-        // SAFETY: getters of a living actor; velocities are asked of dynamic ones only.
+        // SAFETY: getters of a living actor; velocities are read from dynamic ones only.
         unsafe {
             let x_wb = PxRigidActor_getGlobalPose(actor);
             if matches!(role, Role::Static) {
@@ -267,19 +267,19 @@ impl Instance {
 
     /// Puts a dynamic body to sleep.
     pub(super) fn put_to_sleep(&mut self, index: usize) {
-        // SAFETY: the caller says that it is dynamic; no step is under way.
+        // SAFETY: the caller guarantees that it is dynamic; no step is running.
         unsafe { PxRigidDynamic_putToSleep_mut(self.actors[index].cast()) };
     }
 
     pub(super) fn set_pose(&mut self, index: usize, x_wb: &PxTransform, wake: bool) {
-        // SAFETY: the actor is alive and no step is under way.
+        // SAFETY: the actor is alive and no step is running.
         unsafe { PxRigidActor_setGlobalPose_mut(self.actors[index], x_wb, wake) };
     }
 
-    /// Sets the velocities of a body that is no static one.
+    /// Sets the velocities of a body that is not static.
     pub(super) fn set_velocity(&mut self, index: usize, v_w: DVec3, w_w: DVec3) {
         let body: *mut PxRigidDynamic = self.actors[index].cast();
-        // SAFETY: the caller says that it is dynamic; no step is under way.
+        // SAFETY: the caller guarantees that it is dynamic; no step is running.
         unsafe {
             PxRigidDynamic_setLinearVelocity_mut(body, &vector(v_w), true);
             PxRigidDynamic_setAngularVelocity_mut(body, &vector(w_w), true);
@@ -288,14 +288,14 @@ impl Instance {
 
     /// Sets the mass of a dynamic body; its moments of inertia stay.
     pub(super) fn set_mass(&mut self, index: usize, mass: f64) {
-        // SAFETY: the caller says that it is dynamic; no step is under way.
+        // SAFETY: the caller guarantees that it is dynamic; no step is running.
         unsafe { PxRigidBody_setMass_mut(self.actors[index].cast(), mass as f32) };
     }
 
     /// Adds a force and a torque about the centre of mass to a dynamic body, for the next step.
     pub(super) fn push(&mut self, index: usize, force_w: DVec3, torque_w: DVec3, wake: bool) {
         let body: *mut PxRigidBody = self.actors[index].cast();
-        // SAFETY: the caller says that it is dynamic; no step is under way.
+        // SAFETY: the caller guarantees that it is dynamic; no step is running.
         unsafe {
             if !wake && PxRigidDynamic_isSleeping(body.cast()) {
                 return;
@@ -313,13 +313,13 @@ impl Instance {
         matches!(role, Role::Static) || unsafe { PxRigidDynamic_isSleeping(self.actors[index].cast()) }
     }
 
-    /// Takes a body out of the scene, or puts it back; it stays alive. An arm does not come back.
+    /// Removes a body from the scene, or adds it again; it stays alive. An arm cannot be added again.
     pub(super) fn set_present(&mut self, index: usize, present: bool) {
         if let Some((_, arm)) = self.arms.iter_mut().find(|a| a.0 == index) {
             return arm.leave(self.scene);
         }
         let actor: *mut PxActor = self.actors[index].cast();
-        // SAFETY: the actor is alive, in no other scene, and no step is under way.
+        // SAFETY: the actor is alive, in no other scene, and no step is running.
         unsafe {
             let is_present = !PxActor_getScene(actor).is_null();
             match (is_present, present) {
@@ -333,14 +333,14 @@ impl Instance {
     }
 
     pub(super) fn set_bounce_speed(&mut self, speed: f64) {
-        // SAFETY: the scene is alive and no step is under way.
+        // SAFETY: the scene is alive and no step is running.
         unsafe { PxScene_setBounceThresholdVelocity_mut(self.scene, speed as f32) };
     }
 
     pub(super) fn step(&mut self, dt: f64) {
         let mut error = 0u32;
-        // SAFETY: the scene is alive; with no scratch memory and no completion task, and a dispatcher without threads, the
-        // whole step happens in these calls.
+        // SAFETY: the scene is alive. Without scratch memory and completion task, and with a dispatcher without
+        // threads, the whole step runs in these calls.
         unsafe {
             PxScene_simulate_mut(self.scene, dt as f32, null_mut(), null_mut(), 0, true);
             PxScene_fetchResults_mut(self.scene, true, &mut error);
@@ -350,10 +350,10 @@ impl Instance {
 
 impl Drop for Instance {
     fn drop(&mut self) {
-        // They lock the SDK themselves.
+        // Arms lock the SDK themselves.
         let tools: Vec<usize> = self.arms.drain(..).map(|a| a.0).collect();
         let _lock = Sdk::get().lock();
-        // SAFETY: this owns the actors, the scene and the dispatcher, and releases what depends on others first.
+        // SAFETY: `self` owns the actors, the scene and the dispatcher, and releases dependent objects first.
         unsafe {
             for (index, &actor) in self.actors.iter().enumerate() {
                 if !tools.contains(&index) {
@@ -366,7 +366,7 @@ impl Drop for Instance {
     }
 }
 
-/// The collision group of a role.
+/// Returns the collision group of a role.
 pub(super) fn group(role: &Role) -> u16 {
     match role {
         Role::Static => GROUP_STATIC,

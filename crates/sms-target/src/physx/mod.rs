@@ -1,11 +1,11 @@
-//! NVIDIA PhysX 5.1.3 (feature `physx`), the engine family of Isaac Sim: another contact code than the planner's.
+//! NVIDIA PhysX 5.1.3 (feature `physx`), the engine family of Isaac Sim: a contact solver independent of the planner's.
 //!
 //! - [`PhysxFactory::Precise`]: small contact offsets, no damping, more iterations, steps split at the balls' impacts.
-//!   The nearest to a real table; the judge of the published tables.
-//! - [`PhysxFactory::Stock`]: the engine's defaults apart from the threshold of bouncing, in whole steps, with the errors
-//!   that come of that.
+//!   It agrees best with closed forms and is the target of the published tables.
+//! - [`PhysxFactory::Stock`]: the engine's defaults except for the bounce threshold, in whole steps, with the resulting
+//!   errors.
 //!
-//! Both can have a robot's arm as an articulation of their own ([`sms_sim::ArmKind`]).
+//! Both can simulate a robot's arm as an articulation of the engine ([`sms_sim::ArmKind`]).
 #![allow(unsafe_code, reason = "PhysX is C++; every call is wrapped in the modules below")]
 
 mod arm;
@@ -21,10 +21,10 @@ use sms_scene::Scene;
 use sms_sim::{SimError, World, WorldFactory, WorldOptions};
 use tuning::{PRECISE, STOCK, Tuning};
 
-/// Builds worlds of PhysX.
+/// A factory of PhysX worlds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PhysxFactory {
-    /// As near to a real table as the engine comes.
+    /// Parameters with the best agreement with closed forms.
     Precise,
     /// The engine's defaults.
     Stock,
@@ -53,7 +53,7 @@ impl WorldFactory for PhysxFactory {
     }
 }
 
-/// Scenes, shapes, meshes and materials of PhysX that live in this process, for tests of leaks.
+/// Counts the live scenes, shapes, meshes and materials of PhysX in this process, for leak tests.
 pub fn physx_live_objects() -> usize {
     sdk::Sdk::get().live_objects()
 }

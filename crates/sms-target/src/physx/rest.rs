@@ -1,36 +1,36 @@
-//! Which bodies rest, by how far they came.
+//! Rest detection by displacement.
 //!
-//! PhysX puts to sleep what is slow in every step. At short steps contacts of many parts tremble at 1e-4 m/s for ever, and what
-//! trembles is solved for with all its contacts: nine tenths of a shot's time.
+//! PhysX puts a body to sleep if it is slow in every step. At short steps, contacts of many parts tremble at 1e-4 m/s
+//! forever, and PhysX solves all their contacts: nine tenths of a shot's time.
 
 use super::instance::{Blueprint, Instance};
 use super::world::is_dynamic;
 use physx_sys::PxTransform;
 
-/// Time over which a body must stay where it is, seconds.
+/// Time for which a body must rest, seconds.
 const WINDOW_S: f64 = 0.1;
-/// Largest way, metres, and turn, radians, in that time. A body that stands on an edge and is so near to its balance needs
-/// seconds to fall; a ball this slow stops within a micrometre.
+/// Largest displacement, metres, and rotation, radians, in that time. A body balanced on an edge needs seconds to fall;
+/// a ball this slow stops within a micrometre.
 const MOVED_M: f32 = 1e-5;
 const TURNED_RAD: f32 = 1e-4;
 
-/// Watches bodies.
+/// Detects resting bodies.
 #[derive(Default)]
 pub(super) struct Rest {
     elapsed_s: f64,
-    /// Where each body was when the window began.
+    /// Pose of each body at the start of the window.
     places: Vec<PxTransform>,
 }
 
 impl Rest {
-    /// Watches from now on.
+    /// Starts a window.
     pub(super) fn begin(&mut self, instance: &Instance, bodies: usize) {
         self.elapsed_s = 0.0;
         self.places.clear();
         self.places.extend((0..bodies).map(|b| instance.pose(b)));
     }
 
-    /// Looks after a step of `dt`, and puts to sleep what rests. PhysX wakes it again when something that is awake touches it.
+    /// Puts resting bodies to sleep, after a step of `dt`. PhysX wakes them again when an awake body touches them.
     pub(super) fn after_step(&mut self, dt: f64, instance: &mut Instance, blueprints: &[Blueprint]) {
         self.elapsed_s += dt;
         if self.elapsed_s < WINDOW_S {
@@ -48,10 +48,10 @@ impl Rest {
     }
 }
 
-/// Whether two poses are as near as those of a body at rest.
+/// Returns whether two poses differ by less than the limits of a body at rest.
 fn is_near(a: &PxTransform, b: &PxTransform) -> bool {
     let way = [a.p.x - b.p.x, a.p.y - b.p.y, a.p.z - b.p.z];
-    // A rotation's two signs.
+    // A quaternion and its negative are the same rotation.
     let (qa, qb) = ([a.q.x, a.q.y, a.q.z, a.q.w], [b.q.x, b.q.y, b.q.z, b.q.w]);
     let sign = if qa.iter().zip(&qb).map(|(x, y)| x * y).sum::<f32>() < 0.0 { -1.0 } else { 1.0 };
     let turn = qa.iter().zip(&qb).map(|(x, y)| (x - sign * y).powi(2)).sum::<f32>().sqrt();

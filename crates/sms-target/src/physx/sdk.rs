@@ -1,4 +1,4 @@
-//! The process's one PhysX, its lock and its errors.
+//! The PhysX SDK of the process, its lock and its errors.
 
 use physx_sys::*;
 use std::cell::RefCell;
@@ -6,19 +6,18 @@ use std::ffi::{CStr, c_void};
 use std::ptr::null_mut;
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// `PX_PHYSICS_VERSION` of the sources that `physx-sys` 0.11 carries.
+/// `PX_PHYSICS_VERSION` of the sources in `physx-sys` 0.11.
 const PHYSX_VERSION: u32 = version(5, 1, 3);
 
-/// The SDK: one foundation a process, which is never released (worlds on other threads may outlive any owner).
+/// The SDK: one foundation per process, which is never released (worlds on other threads may outlive any owner).
 pub(super) struct Sdk {
     physics: *mut PxPhysics,
-    /// Held while objects are created and released. PhysX guards its own tables; that every path of it does is not
-    /// documented, and building a world is short.
+    /// Held while objects are created and released. PhysX guards its own tables, but not every path is documented to,
+    /// and building a world is short.
     objects: Mutex<()>,
 }
 
-// SAFETY: the pointer is to an object that lives as long as the process; calls that change it are made under
-// `objects`, and the others only read.
+// SAFETY: the object lives as long as the process. Calls that change it hold the lock `objects`; all others only read.
 unsafe impl Send for Sdk {}
 // SAFETY: as above.
 unsafe impl Sync for Sdk {}
@@ -27,7 +26,7 @@ thread_local! {
     static LAST_ERROR: RefCell<Option<String>> = const { RefCell::new(None) };
 }
 
-/// Takes note of what PhysX complains about; its default prints.
+/// Stores PhysX's error message in place of its default, which prints it.
 unsafe extern "C" fn note_error(
     _code: PxErrorCode,
     message: *const i8,
@@ -38,22 +37,22 @@ unsafe extern "C" fn note_error(
     if message.is_null() {
         return;
     }
-    // SAFETY: PhysX passes a C string that lives during the call.
+    // SAFETY: PhysX passes a C string that is valid during the call.
     let text = unsafe { CStr::from_ptr(message.cast()) }.to_string_lossy().into_owned();
-    // A thread that is being taken down has no slot any more.
+    // A terminating thread has no slot any more.
     let _ = LAST_ERROR.try_with(|slot| *slot.borrow_mut() = Some(text));
 }
 
-/// What PhysX complained about last on this thread, once.
+/// Takes PhysX's last error message on this thread.
 pub(super) fn take_error() -> Option<String> {
     LAST_ERROR.with(|slot| slot.borrow_mut().take())
 }
 
 impl Sdk {
-    /// The SDK, created at the first call.
+    /// Returns the SDK, which the first call creates.
     ///
     /// # Panics
-    /// When the linked PhysX is another version than the headers; that is a broken build.
+    /// If the linked PhysX and the headers have different versions, which is a broken build.
     pub(super) fn get() -> &'static Self {
         static SDK: OnceLock<Sdk> = OnceLock::new();
         SDK.get_or_init(|| {
@@ -62,11 +61,11 @@ impl Sdk {
                 let errors = create_error_callback(note_error, null_mut());
                 let allocator = get_default_allocator();
                 let foundation = phys_PxCreateFoundation(PHYSX_VERSION, allocator.cast(), errors);
-                assert!(!foundation.is_null(), "PhysX has another version than its headers");
+                assert!(!foundation.is_null(), "the versions of PhysX and its headers differ");
                 let scale = PxTolerancesScale_new(1.0, 10.0);
                 phys_PxCreatePhysics(PHYSX_VERSION, foundation, &scale, false, null_mut(), null_mut())
             };
-            assert!(!physics.is_null(), "PhysX has another version than its headers");
+            assert!(!physics.is_null(), "the versions of PhysX and its headers differ");
             Self { physics, objects: Mutex::new(()) }
         })
     }
@@ -80,17 +79,17 @@ impl Sdk {
         unsafe { PxPhysics_getTolerancesScale(self.physics) }
     }
 
-    /// To be held while objects are created or released.
+    /// Returns the lock to hold while objects are created or released.
     pub(super) fn lock(&self) -> MutexGuard<'_, ()> {
-        // The lock guards no data of ours that a panic could leave half-written.
+        // The lock guards no data that a panic could leave inconsistent.
         self.objects.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Scenes, actors' shapes, meshes and materials that live now.
+    /// Counts the live scenes, shapes of actors, meshes and materials.
     pub(super) fn live_objects(&self) -> usize {
         let _lock = self.lock();
         let p = self.physics;
-        // SAFETY: getters of a living object; nothing is created meanwhile.
+        // SAFETY: getters of a living object; no object is created meanwhile.
         let counts = unsafe {
             [
                 PxPhysics_getNbScenes(p),

@@ -1,4 +1,4 @@
-//! Collision shapes, cooked once for a world.
+//! Collision shapes, cooked once per world.
 
 use super::contacts::MODIFIED;
 use super::sdk::{Sdk, take_error};
@@ -12,29 +12,29 @@ use sms_sim::KinematicShape;
 use std::borrow::Cow;
 use std::ptr::{from_ref, null_mut};
 
-/// Corners of the prism that stands for a cylinder: PhysX 5.1 has none, and a hull may have 255.
+/// Corners of the prism that models a cylinder: PhysX 5.1 has no cylinder, and a hull may have 255 corners.
 const CYLINDER_SEGMENTS: usize = 96;
 
-/// Corners of a hull at most: one of triangles alone has 252 faces then. PhysX builds no more than 255, and where a hull has more
-/// it stops half-way without a word.
+/// Largest number of corners of a hull: a hull of triangles has 252 faces then. PhysX builds at most 255 faces and
+/// silently truncates a hull with more.
 const MOST_CORNERS: usize = 128;
 
-/// Distance from a hull, metres, within which PhysX leaves corners out that are still to be added. Its default is 0.7 mm at least,
-/// however small the hull is.
+/// Distance from the hull under construction within which PhysX omits further corners, metres. Its default is at least
+/// 0.7 mm, even for small hulls.
 const PLANE_TOLERANCE: f32 = 1e-6;
 
-/// Surface of a shape.
+/// Contact properties of a shape.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Surface {
     pub(super) friction: f64,
     pub(super) restitution: f64,
 }
 
-/// A shape that actors share; holds one reference.
+/// A shared shape; holds one reference.
 pub(super) struct Shape(*mut PxShape);
 
-// SAFETY: shapes are changed before they are first attached only; afterwards their count of references alone changes,
-// under the SDK's lock.
+// SAFETY: shapes change only before they are first attached; afterwards only their reference count changes, under the
+// SDK's lock.
 unsafe impl Send for Shape {}
 
 impl Shape {
@@ -46,7 +46,7 @@ impl Shape {
 impl Drop for Shape {
     fn drop(&mut self) {
         let _lock = Sdk::get().lock();
-        // SAFETY: this owns one reference; actors hold their own.
+        // SAFETY: `self` owns one reference; actors hold their own.
         unsafe { PxShape_release_mut(self.0) };
     }
 }
@@ -63,7 +63,7 @@ pub(super) fn transform(x: &DPose3) -> PxTransform {
     }
 }
 
-/// Makes shapes of one surface in one collision group.
+/// Creates shapes of one surface in one collision group.
 pub(super) struct Shaper<'a> {
     pub(super) surface: Surface,
     pub(super) group: u16,
@@ -72,10 +72,10 @@ pub(super) struct Shaper<'a> {
 }
 
 impl Shaper<'_> {
-    /// The shapes of a body, in its frame.
+    /// Creates the shapes of a body, in its frame.
     ///
     /// # Errors
-    /// Why it cannot be simulated.
+    /// The reason why it cannot be simulated.
     pub(super) fn body(&self, shape: &BodyShape) -> Result<Vec<Shape>, String> {
         match shape {
             BodyShape::Sphere { radius } => self.sphere(*radius).map(|s| vec![s]),
@@ -96,10 +96,10 @@ impl Shaper<'_> {
         }
     }
 
-    /// The shape of a kinematic body.
+    /// Creates the shape of a kinematic body.
     ///
     /// # Errors
-    /// Why it cannot be simulated.
+    /// The reason why it cannot be simulated.
     pub(super) fn kinematic(&self, shape: KinematicShape) -> Result<Shape, String> {
         match shape {
             KinematicShape::Cuboid { half } => self.cuboid(half),
@@ -126,7 +126,7 @@ impl Shaper<'_> {
     }
 
     fn half_space(&self) -> Result<Shape, String> {
-        // PhysX's planes face x.
+        // PhysX's planes have the normal x.
         let upward = DPose3::from_parts(DVec3::ZERO, DQuat::from_rotation_arc(DVec3::X, DVec3::Z));
         // SAFETY: a constructor of plain data.
         let plane = unsafe { PxPlaneGeometry_new() };
@@ -139,8 +139,8 @@ impl Shaper<'_> {
             return Err(format!("hull {index} has no volume"));
         }
         let sdk = Sdk::get();
-        // SAFETY: the descriptor points to `points`, which outlives the call; the mesh's reference is given up after the
-        // shape has taken its own.
+        // SAFETY: the descriptor points to `points`, which outlives the call; the mesh's reference is released after
+        // the shape has taken its own.
         let cooked = {
             let _lock = sdk.lock();
             take_error();
@@ -170,7 +170,7 @@ impl Shaper<'_> {
         };
         let shape = self.shape(from_ref(&geometry).cast(), &DPose3::IDENTITY);
         let _lock = sdk.lock();
-        // SAFETY: gives up this function's reference.
+        // SAFETY: releases this function's reference.
         unsafe { PxConvexMesh_release_mut(cooked) };
         shape
     }
@@ -180,13 +180,14 @@ impl Shaper<'_> {
         let is_sound = mesh.vertices.iter().all(|v| v.is_finite())
             && mesh.triangles.iter().flatten().all(|&i| (i as usize) < points.len());
         if mesh.triangles.is_empty() || !is_sound {
-            return Err("its mesh cannot be used: it has no triangles, or not of its own vertices".to_owned());
+            return Err("its mesh cannot be used: it has no triangles or a bad index".to_owned());
         }
         let sdk = Sdk::get();
         let cooked = {
             let _lock = sdk.lock();
             take_error();
-            // SAFETY: the descriptor points to `points` and the triangles, which outlive the call, and indices are in range.
+            // SAFETY: the descriptor points to `points` and the triangles, which outlive the call; indices are in
+            // range.
             unsafe {
                 let parameters = PxCookingParams_new(sdk.scale());
                 let mut description = PxTriangleMeshDesc_new();
@@ -205,17 +206,17 @@ impl Shaper<'_> {
             }
         };
         if cooked.is_null() {
-            let why = take_error().unwrap_or_else(|| "PhysX refuses it".to_owned());
+            let why = take_error().unwrap_or_else(|| "PhysX rejected it".to_owned());
             return Err(format!("its mesh cannot be used: {why}"));
         }
-        // A reconstructed surface may face either way.
+        // The normals of a reconstructed surface may point to either side.
         // SAFETY: `cooked` is a mesh that this function owns.
         let geometry = unsafe {
             PxTriangleMeshGeometry_new(cooked, &PxMeshScale_new(), PxMeshGeometryFlags::DoubleSided)
         };
         let shape = self.shape(from_ref(&geometry).cast(), &DPose3::IDENTITY);
         let _lock = sdk.lock();
-        // SAFETY: gives up this function's reference.
+        // SAFETY: releases this function's reference.
         unsafe { PxTriangleMesh_release_mut(cooked) };
         shape
     }
@@ -225,14 +226,14 @@ impl Shaper<'_> {
         let _lock = sdk.lock();
         take_error();
         let (friction, restitution) = (self.surface.friction as f32, self.surface.restitution as f32);
-        // SAFETY: `geometry` points to a geometry of the caller's; PhysX copies it. The shape takes its own reference to the
-        // material, so that this one is given up. The shape is not attached yet and may be changed.
+        // SAFETY: `geometry` points to a geometry of the caller; PhysX copies it. The shape takes its own reference to
+        // the material, so this one is released. The shape is not attached yet and may change.
         unsafe {
             let material = PxPhysics_createMaterial_mut(sdk.physics(), friction, friction, restitution);
             if material.is_null() {
-                return Err("PhysX has no room for another material".to_owned());
+                return Err("PhysX cannot create another material".to_owned());
             }
-            // Its combine rule is the mean, as ours.
+            // PhysX's default combine rule is the mean, like ours.
             PxMaterial_setFlags_mut(material, self.tuning.material_flags);
             let shape = PxPhysics_createShape_mut(
                 sdk.physics(),
@@ -243,7 +244,7 @@ impl Shaper<'_> {
             );
             PxRefCounted_release_mut(material.cast());
             if shape.is_null() {
-                return Err(take_error().unwrap_or_else(|| "PhysX refuses its shape".to_owned()));
+                return Err(take_error().unwrap_or_else(|| "PhysX rejected its shape".to_owned()));
             }
             let modified = if self.is_ball && self.tuning.velocity_friction { MODIFIED } else { 0 };
             PxShape_setLocalPose_mut(shape, &transform(x_bs));
@@ -260,7 +261,7 @@ impl Shaper<'_> {
     }
 }
 
-/// A hull, cut in parts that PhysX can build.
+/// Cuts a hull into parts that PhysX can build.
 fn within_limits(hull: &Mesh) -> Vec<Cow<'_, Mesh>> {
     let too_many = hull.vertices.len() > MOST_CORNERS && hull.vertices.iter().all(|v| v.is_finite());
     match too_many.then(|| halves(hull)).flatten() {
@@ -272,7 +273,7 @@ fn within_limits(hull: &Mesh) -> Vec<Cow<'_, Mesh>> {
     }
 }
 
-/// Both halves of a hull, cut across its longest side; `None` where that leaves as many corners, or no volume.
+/// Cuts a hull in two across its longest side. `None` if a half has as many corners as the hull, or no volume.
 fn halves(hull: &Mesh) -> Option<[Mesh; 2]> {
     let whole = convex_hull(&hull.vertices, usize::MAX, 0.0)?;
     let bounds = whole.aabb()?;
@@ -284,7 +285,7 @@ fn halves(hull: &Mesh) -> Option<[Mesh; 2]> {
     let mut cut = Vec::new();
     for [a, b, c] in (0..whole.triangles.len()).map(|t| whole.corners(t)) {
         for (p, q) in [(a, b), (b, c), (c, a)] {
-            // Each edge once: its other triangle has it the other way round.
+            // Visits each edge once: the adjacent triangle has it in the opposite direction.
             if height(p) < 0.0 && height(q) > 0.0 {
                 cut.push(p.lerp(q, height(p) / (height(p) - height(q))));
             }
@@ -302,7 +303,7 @@ fn halves(hull: &Mesh) -> Option<[Mesh; 2]> {
 mod tests {
     use super::*;
 
-    /// An egg that is cut flat below, as parts of statues and toys are.
+    /// Returns an egg with a flat bottom, like parts of statues and toys.
     #[test]
     fn a_hull_of_many_corners_is_cut_and_loses_nothing() {
         let scale = DVec3::new(0.03, 0.035, 0.045);

@@ -1,8 +1,8 @@
-//! What sets the two PhysX targets apart.
+//! Parameters of the two PhysX targets.
 
 use physx_sys::{PxMaterialFlags, PxSceneFlags, PxSolverType};
 
-/// Parameters of a world. `None` leaves PhysX's default.
+/// Parameters of a world. `None` keeps PhysX's default.
 #[derive(Debug)]
 pub(super) struct Tuning {
     pub(super) engine: &'static str,
@@ -13,39 +13,39 @@ pub(super) struct Tuning {
     pub(super) velocity_friction: bool,
     pub(super) scene_flags: PxSceneFlags,
     pub(super) material_flags: PxMaterialFlags,
-    /// Gap at which a shape makes contacts, metres; PhysX's default is 20 mm. That of a pair is the sum. What approaches
-    /// through such a gap is let close four fifths of it in a step, so it loses speed before an impact: the gap is the
-    /// one at which a step is split for the impact, and little more.
+    /// Gap at which a shape makes contacts, metres; the gap of a pair is the sum. PhysX's default is 20 mm. A body in
+    /// the gap may close four fifths of it in a step and so loses speed before an impact. The gap is therefore only
+    /// slightly larger than the one at which a step is split for the impact.
     pub(super) contact_offset: Option<f32>,
     /// Gap up to which a contact has friction and distance at which contacts share a friction anchor, metres; PhysX's
     /// defaults are 40 mm and 25 mm.
     pub(super) friction_offset: Option<f32>,
     pub(super) friction_correlation: Option<f32>,
-    /// Steps are made of steps of at most the second length, and those shorter than that (an impact's, or those up to one)
-    /// of steps of at most the first, seconds. What gravity adds in a step counts as approach and is given back with the
-    /// rebound: in an impact of 0.4 ms, which a slow ball takes, that keeps it hopping at 2 cm/s for ever.
+    /// Longest substeps, seconds: of steps shorter than the second value (those of an impact, or up to one), and of all
+    /// other steps. The speed that gravity adds in a step counts as approach and returns with the rebound: over the 0.4
+    /// ms of a slow ball's impact, it keeps the ball hopping at 2 cm/s forever.
     pub(super) step_lengths_s: Option<(f64, f64)>,
     /// Position and velocity iterations; PhysX's default is 4 and 1.
     pub(super) iterations: Option<(u32, u32)>,
-    /// Approach speed from which contacts bounce, m/s, at least.
+    /// Smallest approach speed at which contacts bounce, m/s.
     pub(super) bounce_speed: f64,
-    /// The same, as a multiple of what gravity adds in a step: a body at rest approaches at one such speed, and what falls back
-    /// from a hop must not gain by it.
+    /// The same, as a multiple of the speed that gravity adds in a step: a body at rest approaches with one such speed,
+    /// and a body that falls back from a hop must not gain energy.
     pub(super) bounce_gravity_steps: f64,
-    /// Whether bodies move without the engine's damping (PhysX's default slows spins by 5 % a second), as fast as they
-    /// like and with gyroscopic torques.
+    /// Whether bodies move without the engine's damping (PhysX's default slows spins by 5 % per second) and speed
+    /// limits, and with gyroscopic torques.
     pub(super) free_motion: bool,
     /// Largest speed at which overlapping bodies are pushed apart, m/s.
     pub(super) push_out_speed: Option<f32>,
-    /// Speeds below which balls and other bodies fall asleep, m/s. PhysX's default, 0.1, is a ball that still rolls. PhysX
-    /// compares with it the *sum* of the velocities in the steps of 0.2 s, 320 of them here: a box's tremor of 5e-5 m/s at
-    /// rest comes to 0.016. A far larger value puts balls to sleep that are struck just when they were about to fall asleep.
+    /// Speeds below which balls and other bodies fall asleep, m/s. At PhysX's default, 0.1, a ball still rolls. PhysX
+    /// compares this value with the *sum* of the velocities in all steps of 0.2 s, 320 here: the tremor of a box at
+    /// rest, 5e-5 m/s, adds up to 0.016. Much larger values put balls to sleep that are struck while falling asleep.
     pub(super) sleep_speeds: Option<(f64, f64)>,
-    /// Whether what stays where it is falls asleep, however it trembles (`rest`).
+    /// Whether bodies without displacement fall asleep even if they tremble (`rest`).
     pub(super) sleeps_where_it_stays: bool,
 }
 
-/// The defaults of PhysX 5.1, but for the threshold of bouncing: with its 2 m/s nothing on a table bounces.
+/// The defaults of PhysX 5.1 except for the bounce threshold: with its 2 m/s no body on a table bounces.
 pub(super) const STOCK: Tuning = Tuning {
     engine: "physx 5.1 stock",
     splits_steps: false,
@@ -66,14 +66,15 @@ pub(super) const STOCK: Tuning = Tuning {
     sleeps_where_it_stays: false,
 };
 
-/// As near to a real table as the engine comes: within every limit of the closed-form suite.
+/// Parameters within every limit of the closed-form suite.
 ///
-/// - The solver is TGS, whose friction is bounded by a circle. That of PGS is bounded axis by axis, along and across the
-///   velocity of the centres and not of the slip: a ball that rolls threw the one that it struck at a cut by up to 3.8° too
-///   far, and curved paths were off by 11 %.
-/// - Contacts are determined anew in each step (no PCM): kept ones miss a ball that is within micrometres of a mesh. Nor is there
-///   PhysX's cache of contacts: without PCM a pair keeps what it had, *no contacts* too, until one body has come 1 % of the
-///   scale's length (10 mm) or 0.01 in a component of its rotation nearer. What hopped off the floor fell that far into it.
+/// - The solver is TGS, which bounds friction by a circle. PGS bounds it per axis, along and across the velocity of the
+///   centres instead of the slip: a rolling ball threw an object ball in a cut shot by up to 3.8° too far, and curved
+///   paths were wrong by 11 %.
+/// - Contacts are found again in each step (no PCM): persistent ones miss a ball within micrometres of a mesh. PhysX's
+///   contact cache is off, too: without PCM a pair keeps its contacts, even if it has *none*, until a body has moved by
+///   1 % of the length scale (10 mm) or by 0.01 in a component of its rotation. A body that hopped off the floor sank
+///   that far into it.
 pub(super) const PRECISE: Tuning = Tuning {
     engine: "physx 5.1 precise",
     splits_steps: true,

@@ -1,4 +1,4 @@
-//! The adapter between the seam and PhysX.
+//! Adapter from the `World` trait to PhysX.
 
 use super::instance::{Blueprint, Instance, Kept, Role, group};
 use super::rest::Rest;
@@ -15,16 +15,16 @@ pub(super) struct PhysxWorld {
     tuning: &'static Tuning,
     may_sleep: bool,
     gravity_w: DVec3,
-    // Before the blueprints: actors are released before the shapes that they share.
+    // Declared before the blueprints: actors must be released before the shapes that they share.
     instance: Instance,
     blueprints: Vec<Blueprint>,
     kinematics: Vec<Kinematic>,
     tools: Vec<Tool>,
     pushes: Vec<Push>,
-    /// Tools of the arms that are in the scene.
+    /// Tools of the arms in the scene.
     arms: Vec<BodyId>,
     rest: Rest,
-    /// A body that was given a state that is not finite. PhysX must not see it, and steps no more.
+    /// A body with a non-finite state, which is kept from PhysX; the world does not step any more.
     failed: Option<BodyId>,
     saved: Option<Saved>,
 }
@@ -40,7 +40,7 @@ struct Kinematic {
     body: BodyId,
     x_wk: DPose3,
     target_x_wk: DPose3,
-    /// In the present step.
+    /// Velocity in the current step.
     v_w: DVec3,
     w_w: DVec3,
     enabled: bool,
@@ -51,7 +51,7 @@ impl Kinematic {
         self.v_w != DVec3::ZERO || self.w_w != DVec3::ZERO
     }
 
-    /// Where it is `left` seconds before it is at its target.
+    /// Returns its pose `left` seconds before it reaches its target.
     fn pose_before_target(&self, left: f64) -> DPose3 {
         let x = &self.target_x_wk;
         DPose3::from_parts(
@@ -128,14 +128,14 @@ impl PhysxWorld {
     }
 
     fn add(&mut self, blueprint: Blueprint, kept: &Kept) -> Result<(), String> {
-        // The blueprint is kept even where the actor fails, because a half-made actor holds its shapes.
+        // The blueprint is kept even if creating the actor fails, because an incomplete actor holds its shapes.
         self.blueprints.push(blueprint);
         let blueprint = &self.blueprints[self.blueprints.len() - 1];
         self.instance.add(blueprint, kept, self.tuning, self.may_sleep)
     }
 
-    /// A fresh scene with these states: contacts and the order of everything inside are those of a new world, so that every
-    /// run from here on is the same to the bit.
+    /// Builds a new scene with these states. Contacts and all internal orders are those of a new world, so all later
+    /// runs are bitwise identical.
     fn rebuild(&mut self, saved: &Saved) -> Result<(), String> {
         let mut instance = Instance::new(self.tuning, self.gravity_w)?;
         for (blueprint, kept) in self.blueprints.iter().zip(&saved.states) {
@@ -157,7 +157,7 @@ impl PhysxWorld {
         Ok(())
     }
 
-    /// Adds a body that strikes.
+    /// Adds a striker.
     fn add_striker(
         &mut self,
         role: Role,
@@ -331,7 +331,7 @@ impl World for PhysxWorld {
         let surface = Surface { friction, restitution };
         let shaper = Shaper { surface, group: group(&Role::Arm), is_ball: false, tuning: self.tuning };
         let fist = shaper.kinematic(KinematicShape::Cuboid { half: strike.half }).ok()?;
-        // What goes wrong here is the robot's, and the tool alone will do.
+        // If PhysX cannot simulate this robot, the caller uses the tool alone.
         if !self.instance.add_arm(strike, &fist).ok()? {
             return None;
         }
@@ -386,7 +386,7 @@ impl World for PhysxWorld {
         let Some(saved) = self.saved.take() else { return false };
         let is_restored = self.rebuild(&saved).is_ok();
         if is_restored {
-            // Kinematic bodies that were added since are gone.
+            // Drops kinematic bodies that were added after the snapshot.
             self.blueprints.truncate(saved.states.len());
         }
         self.saved = Some(saved);

@@ -1,4 +1,4 @@
-//! The arm as an articulation of PhysX beside the arm that is the same in every engine.
+//! The arm as a PhysX articulation, compared with the arm model that all engines share.
 #![cfg(feature = "physx")]
 
 use glamx::DVec3;
@@ -37,7 +37,7 @@ fn strike((x, y, angle, speed): (f64, f64, f64, f64)) -> Arc<ArmStrike> {
     Arc::new(ArmStrike::of_plan(model, &plan, OscConfig::default(), FIST_HALF))
 }
 
-/// A floor, and the ball that is struck if there is one.
+/// Returns a floor and, optionally, the struck ball.
 fn simulation(strike: &ArmStrike, with_ball: bool, arm: ArmKind) -> Simulation {
     let mut bodies = vec![floor_body(0.0, material())];
     if with_ball {
@@ -64,17 +64,17 @@ fn simulation(strike: &ArmStrike, with_ball: bool, arm: ArmKind) -> Simulation {
     Simulation::new(&PhysxFactory::Precise, &scene, &options).unwrap()
 }
 
-/// Velocity of the tool when it reaches the contact position, m/s, and where it is.
+/// Returns the velocity of the tool at the contact position, m/s, and its position.
 fn sweep_velocity(strike: &Arc<ArmStrike>, arm: ArmKind) -> (DVec3, DVec3) {
     let mut simulation = simulation(strike, false, arm);
     let body = simulation.strike(Striker::Arm(strike.clone()), 0.6, 0.7);
-    assert_eq!(simulation.arm(body).is_none(), arm == ArmKind::Articulation, "whose joints they are");
+    assert_eq!(simulation.arm(body).is_none(), arm == ArmKind::Articulation, "owner of the joints");
     simulation.advance(strike.sweep.contact_s()).unwrap();
     let state = simulation.state(body);
     (state.v_w, state.x_wb.translation)
 }
 
-/// Velocity of the ball shortly after the blow, m/s.
+/// Returns the velocity of the ball shortly after the strike, m/s.
 fn ball_velocity(strike: &Arc<ArmStrike>, arm: ArmKind, friction: f64) -> DVec3 {
     let mut simulation = simulation(strike, true, arm);
     simulation.strike(Striker::Arm(strike.clone()), friction, 0.7);
@@ -92,25 +92,25 @@ fn its_sweep_in_free_space_is_that_of_the_shared_arm() {
         let turn = own.angle_between(shared).to_degrees();
         println!("{from:?}: speed {speed:.5}, direction {turn:.4}°, place {:.2e} m", at.distance(own_at));
         assert!(speed.abs() < 5e-3 && turn < 0.3, "{from:?}: speed {speed}, direction {turn}°");
-        assert!((shared.length() / from.3 - 1.0).abs() < 0.02, "it has the asked speed");
+        assert!((shared.length() / from.3 - 1.0).abs() < 0.02, "it must have the requested speed");
     }
 }
 
-/// The aim is 1 % of the speed. PhysX's contacts of articulations give back up to 3.5 % less than they should, so that balls are
-/// up to 2 % slower (experiments/studies/target.md). Without friction between fist and ball both arms send it the same way; with it
-/// the tip of the articulation, which recoils sideways as well, takes the ball along.
+/// The goal is 1 % of the speed. PhysX's contacts of articulations restitute up to 3.5 % too little, so balls are up to
+/// 2 % slower (experiments/studies/target.md). Without friction between fist and ball, both arms strike it in the same
+/// direction; with friction, the articulation's tip recoils sideways and drags the ball along.
 #[test]
 fn a_struck_ball_is_hardly_slower_than_by_the_shared_arm() {
     for from in STRIKES {
         let strike = strike(from);
-        // The mean of both surfaces counts: the first is none.
+        // A pair uses the mean of both surfaces, so the first has no friction at all.
         for (friction, most_turn) in [(-0.2, 0.01), (0.6, 1.5)] {
             let of = |arm| ball_velocity(&strike, arm, friction);
             let (shared, own) = (of(ArmKind::Shared), of(ArmKind::Articulation));
             let speed = own.length() / shared.length() - 1.0;
             let turn = own.angle_between(shared).to_degrees();
             println!("{from:?}, {friction}: {:.4} m/s, {speed:.5}, {turn:.4}°", shared.length());
-            assert!(shared.length() > from.3, "the ball was struck: {shared}");
+            assert!(shared.length() > from.3, "the ball must be struck: {shared}");
             assert!(speed.abs() < 0.025 && turn < most_turn, "{from:?}: speed {speed}, {turn}°");
         }
     }
@@ -130,5 +130,5 @@ fn it_leaves_when_the_sweep_is_over_and_a_restored_world_has_none() {
         assert!(simulation.is_strike_over());
         ends.push(simulation.state(1));
     }
-    assert_eq!(ends[0], ends[1], "the same bits");
+    assert_eq!(ends[0], ends[1], "bitwise equal");
 }

@@ -1,5 +1,5 @@
-//! The target engines behind the seam: the finger, inertia, rest, sleep, snapshots, refusals. What the closed-form suite
-//! does not ask.
+//! The target engines behind the `World` trait: finger, inertia, rest, sleep, snapshots and refused scenes, which the
+//! closed-form suite does not cover.
 #![cfg(any(feature = "physx", feature = "mujoco"))]
 
 use crate::common::{
@@ -14,7 +14,7 @@ use sms_sim::{Simulation, StrikerMotion, WorldFactory, WorldOptions};
 use sms_synth::FIXED_SCENES;
 use sms_target::{TargetEngine, scene_from_truth};
 
-/// Every engine other than Rapier that can be used here.
+/// Returns all engines other than Rapier that are available.
 fn engines() -> Vec<(TargetEngine, Box<dyn WorldFactory>)> {
     let others = TargetEngine::ALL.into_iter().filter(|e| *e != TargetEngine::Rapier && e.is_built_in());
     others
@@ -28,7 +28,7 @@ fn engines() -> Vec<(TargetEngine, Box<dyn WorldFactory>)> {
         .collect()
 }
 
-/// Error of the speed, relative, and of the direction, degrees, of a ball that the finger strikes.
+/// Returns the relative error of the speed and the error of the direction, degrees, of a ball struck by the finger.
 fn strike_error(factory: &dyn WorldFactory, speed: f64, angle: f64, offset: f64) -> (f64, f64) {
     let e = 0.5 * (0.75 + 0.9);
     let center = DVec3::new(0.4, 0.1, R);
@@ -42,7 +42,7 @@ fn strike_error(factory: &dyn WorldFactory, speed: f64, angle: f64, offset: f64)
     let direction = (v.y.atan2(v.x) - angle).to_degrees();
     run(&mut simulation, motion.duration_s());
     assert!(simulation.is_strike_over());
-    assert!(simulation.state(striker).x_wb.translation.z > 0.2, "the finger is lifted");
+    assert!(simulation.state(striker).x_wb.translation.z > 0.2, "the finger must be lifted");
     (v.x.hypot(v.y) / ((1.0 + e) * speed) - 1.0, direction)
 }
 
@@ -63,14 +63,14 @@ fn the_finger_gives_the_ball_one_plus_e_times_its_speed() {
         println!("{}: strike: speed {speed:.5}, direction {direction:.4}°", factory.engine());
         let (most_speed, most_direction) = match engine {
             TargetEngine::Physx => (3e-3, 0.02),
-            // Soft contacts, and whole steps of the defaults.
+            // MuJoCo has soft contacts; the PhysX defaults take whole steps.
             _ => (0.1, 0.5),
         };
         assert!(speed < most_speed && direction < most_direction, "{}: {speeds:?}", factory.engine());
     }
 }
 
-/// Solvers take contacts of one kind in groups of four; a shot must not depend on whether others happen at the same time.
+/// Solvers batch contacts of one kind in groups of four; a shot must not depend on simultaneous other shots.
 #[test]
 fn shots_at_the_same_time_do_not_disturb_each_other() {
     let (e, mu, speed, gap) = (0.9, 0.1, 0.8, 0.02);
@@ -105,7 +105,7 @@ fn shots_at_the_same_time_do_not_disturb_each_other() {
     }
 }
 
-/// A torque about a skew axis accelerates a skew body as its inertia says: the whole tensor reaches the engine.
+/// A torque about a skew axis accelerates a skew body by its inertia: the whole tensor reaches the engine.
 #[test]
 fn the_whole_inertia_tensor_counts() {
     let skew = DPose3::from_parts(DVec3::ZERO, DQuat::from_scaled_axis(DVec3::new(0.4, -0.7, 0.3)));
@@ -126,11 +126,11 @@ fn the_whole_inertia_tensor_counts() {
         assert!((s.v_w - force * (DT / mass.mass())).length() < 1e-5 * s.v_w.length(), "{name}: {}", s.v_w);
         let before = s.v_w;
         simulation.advance(DT).unwrap();
-        assert!((simulation.state(0).v_w - before).length() < 1e-9, "{name}: a wrench acts for one step");
+        assert!((simulation.state(0).v_w - before).length() < 1e-9, "{name}: a wrench must act for one step");
     }
 }
 
-/// Off its frame's origin, a centre of mass still falls as if alone, and the state is that of the centre.
+/// A centre of mass off the frame's origin falls freely, and the state is that of the centre.
 #[test]
 fn a_centre_of_mass_off_the_origin_is_where_a_force_acts() {
     let com = DVec3::new(0.01, -0.02, 0.015);
@@ -152,7 +152,7 @@ fn a_centre_of_mass_off_the_origin_is_where_a_force_acts() {
         simulation.advance(DT).unwrap();
         let s = simulation.state(0);
         assert!((s.v_w.x / (0.1 * DT / 0.4) - 1.0).abs() < 0.1, "{}: {}", factory.engine(), s.v_w);
-        assert!((s.w_w.z - 3.0).abs() < 1e-2, "{}: a force at the centre turns nothing", factory.engine());
+        assert!((s.w_w.z - 3.0).abs() < 1e-2, "{}: a central force must not turn it", factory.engine());
     }
 }
 
@@ -181,7 +181,7 @@ fn restoring_a_snapshot_repeats_every_bit() {
     for (_, factory) in engines() {
         let options = WorldOptions { dt: DT, ..WorldOptions::default() };
         let mut simulation = simulate(&*factory, &busy_scene(), &options);
-        assert!(!simulation.restore(), "nothing saved yet");
+        assert!(!simulation.restore(), "no state was saved yet");
         assert!(simulation.save());
         let mut rollout = |speed: f64| {
             assert!(simulation.restore());
@@ -193,8 +193,8 @@ fn restoring_a_snapshot_repeats_every_bit() {
         let other = rollout(0.3);
         assert_eq!(first, rollout(0.7), "{}", factory.engine());
         assert_ne!(first, other);
-        assert!(first[2].x_wb.translation.x > 0.3, "{}: the target was hit", factory.engine());
-        // A fresh world gives the same bits as a restored one.
+        assert!(first[2].x_wb.translation.x > 0.3, "{}: the target must be hit", factory.engine());
+        // A fresh world and a restored one are bitwise equal.
         let mut fresh = simulate(&*factory, &busy_scene(), &options);
         strike(&mut fresh, 0.7);
         run(&mut fresh, 1.5);
@@ -230,7 +230,7 @@ fn what_rests_falls_asleep_and_what_is_hit_wakes() {
         launch(&mut simulation, 1, DVec3::new(0.8, 0.0, 0.0), DVec3::new(0.0, 0.8 / R, 0.0));
         assert!(!simulation.is_asleep(1));
         run(&mut simulation, 0.3);
-        assert!(!simulation.is_asleep(2), "{}: the target was hit", factory.engine());
+        assert!(!simulation.is_asleep(2), "{}: the target must be hit", factory.engine());
         assert!(simulation.state(2).v_w.length() > 0.1);
     }
 }
@@ -243,7 +243,7 @@ fn a_slow_ball_rolls_to_its_end() {
     let surface = || material(0.3, 0.0, lever);
     let bodies = vec![floor(surface()), ball("b", DVec3::new(0.0, 0.0, R), surface())];
     for (engine, factory) in engines() {
-        // The defaults of PhysX do put it to sleep.
+        // The defaults of PhysX put it to sleep.
         if engine == TargetEngine::PhysxStock {
             continue;
         }
@@ -279,12 +279,12 @@ fn a_state_that_is_not_finite_is_an_error_and_no_panic() {
         let bodies = vec![floor(material(0.3, 0.0, 0.0)), ball("b", DVec3::Z * R, material(0.3, 0.0, 0.0))];
         let mut simulation = simulate(&*factory, &scene(G, bodies), &awake());
         launch(&mut simulation, 1, DVec3::new(f64::NAN, 0.0, 0.0), DVec3::ZERO);
-        let error = (0..3).find_map(|_| simulation.advance(DT).err()).expect("it is noticed");
+        let error = (0..3).find_map(|_| simulation.advance(DT).err()).expect("the error must be detected");
         assert!(error.to_string().contains("`b`"), "{error}");
     }
 }
 
-/// Exact boxes and cylinders, hulls and static meshes carry what stands on them.
+/// Exact boxes and cylinders, hulls and static meshes carry bodies that stand on them.
 #[test]
 fn every_shape_rests_where_it_stands() {
     let surface = || material(0.5, 0.0, 0.0);
@@ -333,12 +333,12 @@ fn every_shape_rests_where_it_stands() {
     }
 }
 
-/// Statues and bottles of many parts stand on many contacts and tremble: they must cost no time all the same.
+/// Statues and bottles of many parts stand on many contacts and tremble, but must sleep.
 #[test]
 fn objects_of_many_parts_fall_asleep_in_place() {
     let truth = FIXED_SCENES.iter().find(|s| s.number == 8).unwrap().generate();
     let scene = scene_from_truth(&truth).unwrap();
-    // The defaults of PhysX let them tremble.
+    // With PhysX's defaults they tremble.
     for (_, factory) in engines().into_iter().filter(|e| e.0 != TargetEngine::PhysxStock) {
         let mut simulation = simulate(&*factory, &scene, &WorldOptions { dt: DT, ..WorldOptions::default() });
         run(&mut simulation, 0.4);
@@ -350,7 +350,7 @@ fn objects_of_many_parts_fall_asleep_in_place() {
     }
 }
 
-/// What sleeps is not in MuJoCo's model; what comes to it finds it there.
+/// Sleeping bodies are not in MuJoCo's model, but wake before another body touches them.
 #[test]
 fn a_shot_among_sleepers_is_the_shot_among_what_is_awake() {
     let Some((_, factory)) = engines().into_iter().find(|e| e.0 == TargetEngine::Mujoco) else { return };
@@ -377,23 +377,24 @@ fn a_shot_among_sleepers_is_the_shot_among_what_is_awake() {
         assert_eq!((1..7).all(|b| simulation.is_asleep(b)), sleep);
         launch(&mut simulation, 1, DVec3::new(0.8, 0.0, 0.0), DVec3::new(0.0, 0.8 / R, 0.0));
         run(&mut simulation, 0.4);
-        assert_eq!(simulation.is_asleep(6), sleep, "nothing comes to it");
+        assert_eq!(simulation.is_asleep(6), sleep, "no body comes near it");
         assert!(!simulation.is_asleep(2));
         run(&mut simulation, 2.2);
-        assert_eq!((1..7).all(|b| simulation.is_asleep(b)), sleep, "everything rests again");
+        assert_eq!((1..7).all(|b| simulation.is_asleep(b)), sleep, "all bodies must rest again");
         (1..7).map(|b| simulation.state(b).x_wb.translation).collect::<Vec<_>>()
     };
     let (sleepers, others) = (shoot(true), shoot(false));
     for (body, (a, b)) in scene.bodies[1..].iter().zip(sleepers.iter().zip(&others)) {
         println!("{}: {:.1e} m apart", body.name, a.distance(*b));
-        // A nanometre decides in which of its short steps MuJoCo begins an impact, and that some percent of the rebound.
+        // A nanometre changes the short step in which MuJoCo begins an impact, which changes the rebound by some
+        // percent.
         assert!(a.distance(*b) < 5e-3, "{}: {a} and {b}", body.name);
     }
     let pushed_m = others[2].distance(scene.bodies[3].x_wb.translation);
-    assert!(pushed_m > 1e-3, "the lower block was pushed: {pushed_m} m");
+    assert!(pushed_m > 1e-3, "the lower block must be pushed: {pushed_m} m");
 }
 
-/// A slab that is a milliradian beyond its balance moves as slowly as what rests, and falls.
+/// A slab a milliradian beyond its balance is as slow as a body at rest, but falls.
 #[test]
 fn what_falls_slowly_does_not_fall_asleep() {
     let half = DVec3::new(0.01, 0.02, 0.05);
@@ -404,7 +405,7 @@ fn what_falls_slowly_does_not_fall_asleep() {
     let surface = || material(0.8, 0.0, 0.0);
     let bodies = vec![floor(surface()), cuboid("slab", x_wb, half, BodyKind::Dynamic, surface())];
     for (engine, factory) in engines() {
-        // The defaults of PhysX do put it to sleep, or not, as it comes.
+        // With PhysX's defaults it may fall asleep.
         if engine == TargetEngine::PhysxStock {
             continue;
         }
@@ -416,10 +417,11 @@ fn what_falls_slowly_does_not_fall_asleep() {
     }
 }
 
-/// PhysX's cache of contacts kept "none" of a pair whose bounds overlapped until a body had come 10 mm nearer.
+/// PhysX's contact cache kept "no contacts" for a pair with overlapping bounds until a body had moved by 10 mm.
 #[test]
 fn what_came_near_without_a_touch_is_caught_when_it_touches() {
-    // Upright bounds of what is turned by 45° reach farther than it: the pair is there long before the contact.
+    // The axis-aligned bounds of a body rotated by 45° are larger than the body: the pair exists long before the
+    // contact.
     let turn = DQuat::from_rotation_y(std::f64::consts::FRAC_PI_4);
     let surface = || material(0.3, 0.0, 0.0);
     let round = Mesh::icosphere(0.04, 1);
@@ -432,7 +434,7 @@ fn what_came_near_without_a_touch_is_caught_when_it_touches() {
         ..cuboid("hull", x_wb(0.0, gap - lowest), DVec3::ONE, BodyKind::Dynamic, surface())
     };
     let half = DVec3::new(0.05, 0.1, 0.02);
-    // The ball is over the slope, which it will touch in the middle.
+    // The ball is above the slope and will touch its middle.
     let over = turn * DVec3::Z * (half.z + R) + DVec3::Z * (0.1 + gap);
     let bodies = vec![
         floor(surface()),
@@ -441,7 +443,7 @@ fn what_came_near_without_a_touch_is_caught_when_it_touches() {
         ball("ball", over + DVec3::X * 0.5, surface()),
     ];
     for (engine, factory) in engines() {
-        // The defaults let everything sink in; MuJoCo's contacts are soft.
+        // PhysX's defaults let all bodies sink in; MuJoCo's contacts are soft.
         if engine != TargetEngine::Physx {
             continue;
         }
@@ -455,7 +457,7 @@ fn what_came_near_without_a_touch_is_caught_when_it_touches() {
             has_touched |= simulation.state(3).v_w.x > 0.05;
         }
         println!("{}: hull {:.3} mm, ball {:.3} mm deep", factory.engine(), 1e3 * hull_m, 1e3 * ball_m);
-        assert!(has_touched, "the slope turned the ball");
+        assert!(has_touched, "the slope must turn the ball");
         assert!(hull_m < 2e-4 && ball_m < 2e-4, "{}: hull {hull_m}, ball {ball_m}", factory.engine());
     }
 }

@@ -1,4 +1,4 @@
-//! Plans carried out in the true scene of generated billiards scenes.
+//! Execution of plans in the true scene of generated billiards scenes.
 
 use glamx::{DPose3, DQuat, DVec3};
 use sms_core::Seed;
@@ -17,7 +17,7 @@ fn task_of(truth: &TruthScene) -> Task {
     Task::Billiards(Billiards::new(cue, target, truth.goal_w))
 }
 
-/// The best of the actions that billiards geometry suggests, as a planner would choose in the planner's scene.
+/// Returns the best of the actions that billiards geometry suggests in the planner's scene, like a planner.
 fn plan(task: &Task, scene: &Scene) -> (Action, f64) {
     let task = task.resolve(scene).unwrap();
     let bodies = task.bodies_in(scene, &task.target().name).unwrap();
@@ -37,7 +37,7 @@ fn the_true_scene_is_valid_and_exact() {
     for seed in 1..4 {
         let truth = truth(seed);
         let scene = scene_from_truth(&truth).unwrap();
-        // The truth's pieces may be finer than what every engine takes; Rapier takes them.
+        // The true parts may be too many for some engines; Rapier accepts them.
         let mut problems = scene.validate();
         problems.retain(|p| !p.what.contains("more than 64"));
         assert_eq!(problems, Vec::new(), "seed {seed}");
@@ -62,7 +62,7 @@ fn the_true_scene_rests() {
     }
 }
 
-/// A plan made in the true scene is realised: what remains are precision and step.
+/// A plan made in the true scene is realised, up to differences in precision and step.
 #[test]
 fn a_plan_made_on_the_truth_is_realised() {
     let mut gaps = Vec::new();
@@ -96,18 +96,18 @@ fn the_robot_repeats_the_planned_motion_where_the_scan_was_wrong() {
     let (action, _) = plan(&task, &planned);
     let options = TargetOptions { chaos_runs: 0, ..Default::default() };
     let right = execute(&task, &action, &planned, &truth, &options).unwrap();
-    // The scan puts the cue ball 4 mm away from where it is; the ball that is struck stays where it is.
+    // The scan misplaces the cue ball by 4 mm; the true ball stays in place.
     planned.bodies[cue].x_wb.translation.y += 0.004;
     let wrong = execute(&task, &action, &planned, &truth, &options).unwrap();
     let start =
         |e: &sms_task::Execution, body: &str| e.trajectory.body(body).unwrap().states[0].x_wb.translation;
     assert_eq!(start(&right, &truth.cue), start(&wrong, &truth.cue));
     let finger = start(&wrong, sms_task::STRIKER) - start(&right, sms_task::STRIKER);
-    assert!(finger.length() > 0.003, "the finger goes where the scan saw the ball: {finger}");
+    assert!(finger.length() > 0.003, "the finger must strike where the scan saw the ball: {finger}");
     assert!(right.objective != wrong.objective);
 }
 
-/// A recording whose world had to be turned to stand upright: plan and truth meet in the planner's world.
+/// In a recording with a world that was rotated upright, plan and truth meet in the planner's world.
 #[test]
 fn an_aligned_recording_gives_the_same_execution() {
     let truth = truth(3);

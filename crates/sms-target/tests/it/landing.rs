@@ -1,4 +1,4 @@
-//! Landings in a target world.
+//! Execution of landings in a target world.
 
 use glamx::DVec2;
 use sms_landing::{LandingFailure, LandingRecording, LandingTask, QUADROTOR};
@@ -8,7 +8,7 @@ use sms_target::{
 };
 use sms_wash::SphSettings;
 
-/// Particles of 3.5 cm in the target: half of these.
+/// Returns particles with twice the target's size of 3.5 cm.
 fn options() -> LandingTargetOptions {
     LandingTargetOptions {
         planner_sph: SphSettings { spacing: 0.07, ..SphSettings::default() },
@@ -18,8 +18,8 @@ fn options() -> LandingTargetOptions {
     }
 }
 
-/// From behind the base the way to its middle is over no overhang; the other way round the whole overhang is passed, and in the
-/// middle of the overhang nothing can stand.
+/// From behind the base, the way to its middle does not cross the overhang. From the other side it crosses the whole
+/// overhang. A load on the middle of the overhang tips the board.
 #[test]
 fn a_landing_over_the_base_succeeds_and_one_on_the_overhang_does_not() {
     let truth = LandingStructure::BoardOnStool.fixed();
@@ -37,7 +37,7 @@ fn a_landing_over_the_base_succeeds_and_one_on_the_overhang_does_not() {
     let good = fly(base);
     assert!(good.outcome.is_success(), "{:?}", good.outcome.failure);
     assert!(good.second_opinion.as_ref().unwrap().is_success());
-    assert_eq!(good.outcome.bodies.len(), truth.objects.len(), "everything must stay");
+    assert_eq!(good.outcome.bodies.len(), truth.objects.len(), "every true body must stay");
     assert_eq!(good.matches.len(), truth.objects.len());
     assert!(good.outcome.trajectory.body(QUADROTOR).is_some() && good.engine.contains("same engine"));
     let dir = tempfile::tempdir().unwrap();

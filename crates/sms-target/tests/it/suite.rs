@@ -1,11 +1,11 @@
-//! The target engines through the closed-form suite. Run with `--nocapture` for the figures.
+//! The target engines in the closed-form suite. Run with `--nocapture` for the figures.
 #![cfg(any(feature = "physx", feature = "mujoco"))]
 
 use sms_eval::closed_form::probes;
 use sms_target::TargetEngine;
 
-/// Probes whose limit an engine misses, with the error that it may have instead (`experiments/studies/target.md` gives the reasons). Every
-/// other probe has to meet its limit.
+/// Probes for which an engine misses the suite's limit, with the engine's own limits (`experiments/studies/target.md`
+/// gives the reasons). All other probes must meet the suite's limit.
 fn known_misses(engine: TargetEngine) -> &'static [(&'static str, f64)] {
     match engine {
         TargetEngine::Mujoco => &[
@@ -37,9 +37,9 @@ fn measure(engine: TargetEngine) {
         if figure > allowed {
             missed.push(format!("{}: {figure} of {allowed}", probe.name));
         }
-        // The list holds no probe that is within its limit.
+        // Listed probes must exceed the suite's limit.
         if allowed > probe.limit && figure <= probe.limit {
-            missed.push(format!("{} is within its limit now: {figure}", probe.name));
+            missed.push(format!("{} is within the suite's limit now: {figure}", probe.name));
         }
     }
     assert!(missed.is_empty(), "{missed:#?}");
