@@ -1,5 +1,5 @@
-// The 3-D view of the report. World: metres, z up. Bodies are drawn where the planner saw them; realised motion is
-// applied relative to each body's first state, because the target world has its own body frames.
+// The 3-D view of the report. World: metres, z up. Bodies are drawn at their poses in the planner's scene. Realised
+// motion is applied relative to each body's first state, because the target world has its own body frames.
 (function () {
   'use strict';
   const data = JSON.parse(document.getElementById('data').textContent);
@@ -14,7 +14,7 @@
     renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
   } catch (error) {
     const hint = document.getElementById('hint');
-    hint.textContent = 'This browser offers no WebGL, so the 3-D view is not shown: ' + error.message;
+    hint.textContent = 'The 3-D view needs WebGL, which this browser does not provide: ' + error.message;
     return;
   }
   renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
@@ -61,7 +61,7 @@
   const colorOf = (c) => new THREE.Color().setRGB(c[0] / 255, c[1] / 255, c[2] / 255, THREE.SRGBColorSpace);
   const palette = [0x4d86f0, 0xf0a84d, 0x5fc08a, 0xd96aa8, 0x9b7ce8, 0x55c5d6, 0xd9d25a, 0xe8735f];
 
-  // Gaussians as round points whose size follows their discs.
+  // Gaussians as round points, sized like their discs.
   const pointsMaterial = (colors) => new THREE.ShaderMaterial({
     uniforms: { height: { value: 600 } },
     vertexShader: `attribute float size; attribute vec3 tint; varying vec3 vTint; uniform float height;
@@ -163,7 +163,7 @@
     const bodies = {};
     for (const [name, text] of Object.entries(source.bodies)) bodies[name] = floats(text);
     const times = floats(source.times);
-    // The finger is taken away after its sweep: show it until the first jump.
+    // The finger is removed after its sweep: show it until the first jump.
     let sweep = times.length ? times[times.length - 1] : 0;
     const arm = bodies.striker;
     for (let i = 1; arm && i < times.length; i++) {
@@ -261,7 +261,7 @@
     const choice = which.value;
     follow(choice === 'realised' ? realised : predicted, time, 'solid', arms.predicted);
     follow(realised, time, 'ghost', arms.realised);
-    // A ghost on top of its body says nothing and tints it.
+    // A ghost on top of its body is redundant and tints it: hide it.
     for (const mover of Object.values(movers)) {
       const apart = mover.ghost.position.distanceTo(mover.solid.position) > 0.002
         || mover.ghost.quaternion.angleTo(mover.solid.quaternion) > 0.02;

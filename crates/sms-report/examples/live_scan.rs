@@ -1,4 +1,4 @@
-//! Scans the frames and masks of a finished run once more, with the `draft` preset, and streams it to a Rerun viewer:
+//! Scans the frames and masks of a finished run again, with the `draft` preset, and streams the scan to a Rerun viewer:
 //! `cargo run --release -p sms-report --features rerun --example live_scan -- RUN [ADDR]`.
 
 use sms_core::{Cancel, PlainProgress, Seed, StageContext, Warnings};
@@ -9,7 +9,7 @@ use std::path::Path;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
-    let run = arguments.next().ok_or("give the folder of a run")?;
+    let run = arguments.next().ok_or("the folder of a run is missing")?;
     let viewer = arguments.next().map_or(Viewer::Any, Viewer::At);
     let sequence = Sequence::load(&Path::new(&run).join("frames"))?;
     let labels = sms_masks::load_labels(&Path::new(&run).join("masks"))?;

@@ -2,7 +2,7 @@
 
 use sms_core::{BACKGROUND, ColorImage, DepthImage, Image, LabelMap};
 
-/// The Turbo colour map at `t` in [0, 1] (polynomial fit by A. Mikhailov, Google AI blog 2019).
+/// Evaluates the Turbo colour map at `t` in [0, 1] (polynomial fit by A. Mikhailov, Google AI blog 2019).
 pub fn turbo(t: f32) -> [u8; 3] {
     let x = t.clamp(0.0, 1.0);
     let powers = [1.0, x, x * x, x.powi(3), x.powi(4), x.powi(5)];
@@ -17,13 +17,13 @@ pub fn turbo(t: f32) -> [u8; 3] {
     ]
 }
 
-/// Depth as colours between `near` and `far` metres; dark grey where there is none.
+/// Colours a depth map between `near` and `far` metres; missing depth is dark grey.
 pub fn depth_picture(depth: &DepthImage, near: f32, far: f32) -> ColorImage {
     let span = (far - near).max(1e-6);
     depth.map(|&z| if z > 0.0 { turbo((z - near) / span) } else { [40, 40, 44] })
 }
 
-/// |a − b| of two depth maps as colours from 0 to `full_scale` metres; dark grey where either is missing.
+/// Colours |a − b| of two depth maps from 0 to `full_scale` metres; missing depth in either is dark grey.
 pub fn error_picture(a: &DepthImage, b: &DepthImage, full_scale: f32) -> ColorImage {
     let pixels = a
         .data
@@ -34,7 +34,7 @@ pub fn error_picture(a: &DepthImage, b: &DepthImage, full_scale: f32) -> ColorIm
     Image::from_vec(a.width, a.height, pixels)
 }
 
-/// Labels tinted over a grey version of the frame; the background stays grey.
+/// Tints a grey version of the frame by label; the background stays grey.
 pub fn label_picture(color: &ColorImage, labels: &LabelMap) -> ColorImage {
     let pixels = color
         .data

@@ -2,10 +2,10 @@
 
 use sms_core::{CoreError, ErrorKind, StageError};
 
-/// Errors of writing a report.
+/// An error of writing a report.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
-    /// Files.
+    /// Reading or writing a file failed.
     #[error(transparent)]
     Core(#[from] CoreError),
 }

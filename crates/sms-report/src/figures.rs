@@ -1,4 +1,4 @@
-//! Pictures of the scan: observed beside rendered.
+//! Pictures of observed and rendered frames.
 
 use crate::colormap::{depth_picture, error_picture, label_picture};
 use base64::Engine;
@@ -6,12 +6,12 @@ use sms_core::{Camera, ColorImage, CoreError, DepthImage, LabelMap, write_png_co
 use std::fmt::Write;
 use std::path::Path;
 
-/// One frame as observed and as rendered from the Gaussians, all of one size.
+/// A frame as observed and as rendered from the Gaussians; all images have the same size.
 #[derive(Debug, Clone)]
 pub struct ViewPair {
     /// Index in the sequence.
     pub frame_index: usize,
-    /// Whether the frame was kept out of training.
+    /// Whether the frame was held out of training.
     pub held_out: bool,
     /// The camera, in the world.
     pub camera: Camera,
@@ -29,10 +29,10 @@ pub struct ViewPair {
     pub rendered_label: LabelMap,
 }
 
-/// Error that is shown as the hottest colour, metres.
+/// Depth error at the top of the colour scale, metres.
 const ERROR_FULL_SCALE_M: f32 = 0.02;
 
-/// Writes the pictures of each view as PNG into `dir` and returns the table rows that show them.
+/// Writes the pictures of each view as PNG into `dir` and returns the HTML that shows them.
 pub(crate) fn view_rows(views: &[ViewPair], dir: &Path) -> Result<String, CoreError> {
     let mut html = String::new();
     for view in views {
@@ -71,7 +71,7 @@ fn data_uri(path: &Path) -> Result<String, CoreError> {
     Ok(format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes)))
 }
 
-/// 2 % and 98 % quantiles of the valid depths, so that a stray pixel does not flatten the colours.
+/// Returns the 2 % and 98 % quantiles of the valid depths, so that outliers do not compress the colour scale.
 fn depth_range(depth: &DepthImage) -> (f32, f32) {
     let mut valid: Vec<f32> = depth.data.iter().copied().filter(|&z| z > 0.0).collect();
     if valid.is_empty() {

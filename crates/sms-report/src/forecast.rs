@@ -1,5 +1,5 @@
-//! What the plan is predicted to do: its strategies, why one was chosen, its distribution against what was realised, and
-//! which unknowns matter.
+//! The forecast section: strategies, reasons for the choice, predicted and realised objective, and sensitivities to the
+//! unknowns.
 
 use crate::html::escape;
 use sms_core::length_text;
@@ -7,16 +7,16 @@ use sms_plan::{Plan, Strategy};
 use sms_task::Execution;
 use std::fmt::Write;
 
-/// Width of the distribution strips, of their drawing area, and of the margins beside it, in the SVG's units.
+/// Width and height of the distribution strips, and the margin of the axes, in SVG units.
 const STRIP: (f64, f64) = (300.0, 34.0);
 const MARGIN: f64 = 8.0;
-/// Size of the picture of the distribution.
+/// Size of the histogram, in SVG units.
 const HISTOGRAM: (f64, f64) = (620.0, 220.0);
 const BINS: usize = 16;
-/// Sensitivities below this share are counted, not drawn.
+/// Smallest share of a sensitivity that is drawn; smaller ones are only counted.
 const LEAST_SHARE: f64 = 0.01;
 
-/// A scale of the objective from 0 to a round number, as a place between two sides.
+/// A linear axis of the objective from 0 to a round number.
 struct Scale {
     top: f64,
     left: f64,
@@ -24,7 +24,7 @@ struct Scale {
 }
 
 impl Scale {
-    /// To the next of 1, 2 and 5 times a power of ten, or half-way steps of it.
+    /// Rounds up to the next of 1, 2 and 5 times a power of ten, or a half step in between.
     fn new(highest: f64, left: f64, right: f64) -> Self {
         let highest = if highest.is_finite() && highest > 0.0 { highest } else { 0.01 };
         let power = 10f64.powf(highest.log10().floor());
@@ -38,7 +38,7 @@ impl Scale {
     }
 }
 
-/// Short for axes: "0", "5 mm", "12 cm".
+/// Formats a length for axes: "0", "5 mm", "12 cm".
 fn tick_text(metres: f64) -> String {
     let number = |v: f64| format!("{v:.2}").trim_end_matches('0').trim_end_matches('.').to_owned();
     match metres {
@@ -53,10 +53,10 @@ fn outcomes(strategy: &Strategy) -> Vec<f64> {
     strategy.outcomes.iter().copied().flatten().collect()
 }
 
-/// The section; empty for plans of the scanned world alone that know one way and no reason.
+/// Returns the section; empty for a nominal plan with a single strategy and without reasons.
 pub(crate) fn forecast_section(plan: Option<&Plan>, execution: Option<&Execution>) -> String {
     let Some(plan) = plan.filter(|p| !p.strategies.is_empty()) else { return String::new() };
-    let mut html = String::from("<section id=\"section-forecast\"><h2>Ways to the goal</h2>");
+    let mut html = String::from("<section id=\"section-forecast\"><h2>Strategies</h2>");
     reasons(&mut html, plan);
     table(&mut html, plan, execution);
     let histogram = histogram(plan, execution);
@@ -68,7 +68,7 @@ pub(crate) fn forecast_section(plan: Option<&Plan>, execution: Option<&Execution
     html
 }
 
-/// Text with names in backticks as code.
+/// Formats names in backticks as code.
 fn with_names(text: &str) -> String {
     let mut html = String::new();
     for (k, part) in text.split('`').enumerate() {
@@ -96,7 +96,7 @@ fn table(html: &mut String, plan: &Plan, execution: Option<&Execution>) {
     let scale = Scale::new(all.fold(0.0, f64::max), MARGIN, STRIP.0 - MARGIN);
     let has_worlds = plan.strategies.iter().any(|s| !s.outcomes.is_empty());
     html.push_str(
-        "<div class=\"scroll\"><table class=\"ways\"><tr><th>way</th><th class=\"n\">in the scan</th>",
+        "<div class=\"scroll\"><table class=\"ways\"><tr><th>strategy</th><th class=\"n\">scanned world</th>",
     );
     if has_worlds {
         let _ = write!(
@@ -138,10 +138,10 @@ fn table(html: &mut String, plan: &Plan, execution: Option<&Execution>) {
     }
     html.push_str("</table></div>");
     if has_worlds {
-        let realised = if realised.is_some() { " The red line is what was realised." } else { "" };
+        let realised = if realised.is_some() { " The red line is the realised value." } else { "" };
         let _ = write!(
             html,
-            "<p class=\"key\">Each stroke is one perturbed world that played no part in choosing; the bar spans 10 to 90 %, \
+            "<p class=\"key\">Each stroke is one perturbed world that was not used for the choice. The bar spans 10 to 90 %, \
              the white line is the median, the dot the mean.{realised}</p>"
         );
     }
@@ -165,7 +165,7 @@ fn axis(scale: &Scale) -> String {
     svg
 }
 
-/// One line: every world a stroke, quantiles as a bar.
+/// Draws one distribution: worlds as strokes, quantiles as a bar.
 fn strip(s: &Strategy, scale: &Scale, realised: Option<f64>) -> String {
     let Some(p) = &s.prediction else { return String::new() };
     let (w, h) = STRIP;
@@ -217,7 +217,7 @@ fn strip(s: &Strategy, scale: &Scale, realised: Option<f64>) -> String {
     svg
 }
 
-/// The chosen shot's distribution, and where the realised value fell.
+/// Draws the histogram of the chosen shot and the realised value.
 fn histogram(plan: &Plan, execution: Option<&Execution>) -> String {
     let Some(p) = &plan.predicted else { return String::new() };
     let values = plan.strategies.first().map(outcomes).unwrap_or_default();
@@ -284,14 +284,14 @@ fn histogram(plan: &Plan, execution: Option<&Execution>) -> String {
     svg.push_str("</svg>");
     let mut caption = match execution.and_then(|e| e.predicted.or_else(|| plan.against(e.objective))) {
         Some(a) => format!("Realised {}: {}.", length_text(realised.unwrap_or(f64::NAN)), a.rank_text()),
-        None => format!("{} perturbed worlds; not carried out yet.", values.len()),
+        None => format!("{} perturbed worlds; not executed yet.", values.len()),
     };
     if let Some(missing) = p.missing_text() {
         let _ = write!(caption, " Not shown: {missing}.");
     }
     let chosen = plan.strategies.first().map(|s| s.as_named_share.unwrap_or(1.0)).unwrap_or(1.0);
     if chosen < 1.0 {
-        let _ = write!(caption, " It goes the way it is named in {:.0} % of the worlds.", 100.0 * chosen);
+        let _ = write!(caption, " It follows its strategy in {:.0} % of the worlds.", 100.0 * chosen);
     }
     format!(
         "<figure class=\"histogram\"><h3>Predicted and realised</h3>{svg}<figcaption>{}</figcaption></figure>",
@@ -299,11 +299,11 @@ fn histogram(plan: &Plan, execution: Option<&Execution>) -> String {
     )
 }
 
-/// Which unknowns matter, as bars.
+/// Draws the sensitivities to the unknowns as bars.
 fn sensitivities(plan: &Plan) -> String {
     let drawn: Vec<_> = plan.sensitivities.iter().filter(|s| s.share >= LEAST_SHARE).take(8).collect();
     let Some(most) = drawn.first().map(|s| s.change).filter(|v| *v > 0.0) else { return String::new() };
-    let mut html = String::from("<figure class=\"matters\"><h3>What it depends on</h3><table>");
+    let mut html = String::from("<figure class=\"matters\"><h3>Sensitivities</h3><table>");
     for s in &drawn {
         let _ = write!(
             html,
@@ -313,11 +313,11 @@ fn sensitivities(plan: &Plan) -> String {
             length_text(s.change)
         );
     }
-    html.push_str("</table><figcaption>How much the miss changes (root mean square) when one unknown alone is off by what \
-                   is not known of it; what they do together is left out.");
+    html.push_str("</table><figcaption>Root-mean-square change of the miss when a single unknown varies within its \
+                   uncertainty; interactions are not included.");
     let rest = plan.sensitivities.len() - drawn.len();
     if rest > 0 {
-        let _ = write!(html, " {rest} more matter less.");
+        let _ = write!(html, " {rest} smaller ones are not shown.");
     }
     html.push_str("</figcaption></figure>");
     html
@@ -407,10 +407,10 @@ mod tests {
         );
         assert_eq!(html.matches("class=\"world\"").count(), 3);
         assert!(html.contains("worse than in 67 % of 3 predicted worlds"));
-        assert!(html.contains("Not shown: 1 of 4 not valid."));
-        assert!(html.contains("could not be believed: 4 of 4 rollouts"));
+        assert!(html.contains("Not shown: 1 of 4 invalid."));
+        assert!(html.contains("is invalid in 4 of 4 worlds"));
         assert!(html.contains("it relies on <b class=\"name\">a&lt;b</b>.") && html.contains("± 4.00 mm"));
-        // Ranks at the ends, and a value off the predicted ones.
+        // Ranks at both ends, and a value equal to a predicted one.
         for (v, rank) in [(0.001, 0.0), (0.5, 1.0), (0.02, 0.5)] {
             execution.objective = v;
             assert_eq!(plan.against(v).unwrap().rank, rank);

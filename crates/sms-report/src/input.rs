@@ -23,14 +23,14 @@ pub struct LossPoint {
     pub total: f64,
 }
 
-/// Everything a report shows. Parts of the pipeline that have not run are `None` or empty, and the page says so.
+/// The data of a report. Results of stages that have not run are `None` or empty, and the page says so.
 #[derive(Debug, Default)]
 pub struct ReportInput<'a> {
     /// Headline ("Billiards, seed 1").
     pub title: String,
-    /// One line on what this is: recording, masks, materials, engine.
+    /// One line about the run: recording, masks, materials, engine.
     pub subtitle: String,
-    /// Frames, observed beside rendered.
+    /// Observed and rendered frames.
     pub views: Vec<ViewPair>,
     /// The Gaussians.
     pub gaussians: Option<&'a GaussianModel>,
@@ -40,9 +40,9 @@ pub struct ReportInput<'a> {
     pub plan: Option<&'a Plan>,
     /// The execution in the target world.
     pub execution: Option<&'a Execution>,
-    /// A landing, in the place of plan and execution.
+    /// A landing, in place of plan and execution.
     pub landing: Option<LandingInput<'a>>,
-    /// Pictures of the choice, with what they show: what was put to a vision-language model.
+    /// Pictures that a vision-language model chose from, with captions.
     pub pictures: Vec<(String, ColorImage)>,
     /// Goal on the floor, metres.
     pub goal_w: Option<[f64; 2]>,

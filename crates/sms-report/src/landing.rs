@@ -1,4 +1,4 @@
-//! A planned landing: the approach from above, and what became of everything.
+//! The landing section: the approach from above, and the predicted and realised outcomes.
 
 use crate::html::escape;
 use crate::top_view::{TopOutline, TopPath, TopShape, TopView};
@@ -12,41 +12,41 @@ use sms_wash::{SPREADING_RATE, WashModel};
 use std::borrow::Cow;
 use std::fmt::Write;
 
-/// Pixels of the picture's longer side.
+/// Length of the picture's longer side, pixels.
 const SIZE: f64 = 760.0;
-/// What moves or turns less is drawn once, metres and radians.
+/// Smallest displacement, metres, and rotation, radians, for which a body's final pose is drawn.
 const STILL_M: f64 = 0.005;
 const STILL_RAD: f64 = 0.02;
 const PLANNED: &str = "#1f5fd0";
 const REALISED: &str = "#1a9850";
 const WASH: &str = "#7fb7e6";
-/// Segments of a propeller's disk.
+/// Number of segments of a propeller's disk.
 const ROTOR_SEGMENTS: usize = 24;
 const ROTOR_HALF_M: f64 = 0.002;
 
-/// What the report shows of a landing.
+/// A landing for the report.
 #[derive(Debug, Clone, Copy)]
 pub struct LandingInput<'a> {
     /// The plan.
     pub plan: &'a LandingPlan,
-    /// What happened in the target world.
+    /// The executed landing, if any.
     pub realised: Option<LandingRealised<'a>>,
 }
 
-/// A landing that was carried out.
+/// An executed landing.
 #[derive(Debug, Clone, Copy)]
 pub struct LandingRealised<'a> {
     /// Label of the target.
     pub engine: &'a str,
-    /// What happened.
+    /// Outcome in the target world.
     pub outcome: &'a LandingOutcome,
-    /// The same with another model of wash.
+    /// Outcome with another wash model.
     pub second_opinion: Option<&'a LandingOutcome>,
     /// Planner's body name → target's body name.
     pub matches: &'a [(String, String)],
 }
 
-/// The vehicle as a body where its flight starts, for pictures.
+/// Returns the vehicle as a body at the start of its flight, for pictures.
 fn vehicle_body(plan: &LandingPlan) -> Body {
     let vehicle = &plan.vehicle;
     let x_wv = DPose3::from_translation(plan.landing().start_w());
@@ -66,7 +66,7 @@ fn vehicle_body(plan: &LandingPlan) -> Body {
     Body { visual, color: [52, 56, 64], ..vehicle.body(QUADROTOR, x_wv, None, sms_scene::example_material()) }
 }
 
-/// The scene with the vehicle, where there is a landing.
+/// Returns the scene with the vehicle, if there is a landing.
 pub(crate) fn with_vehicle<'a>(scene: &'a Scene, landing: Option<&LandingInput<'_>>) -> Cow<'a, Scene> {
     let Some(landing) = landing.filter(|_| scene.body(QUADROTOR).is_none()) else {
         return Cow::Borrowed(scene);
@@ -76,7 +76,7 @@ pub(crate) fn with_vehicle<'a>(scene: &'a Scene, landing: Option<&LandingInput<'
     Cow::Owned(scene)
 }
 
-/// The planner's name of a target's body.
+/// Returns the planner's name of a target's body.
 pub(crate) fn planner_name(matches: &[(String, String)], name: &str) -> Option<String> {
     if name == QUADROTOR {
         return Some(name.to_owned());
@@ -89,7 +89,7 @@ fn way(trajectory: &Trajectory) -> Vec<DVec2> {
     track.map(|t| t.states.iter().map(|s| s.x_wb.translation.truncate()).collect()).unwrap_or_default()
 }
 
-/// The vehicle's feet and propellers as seen from above.
+/// Returns the outline of the vehicle's feet and propellers from above.
 fn vehicle_outline(plan: &LandingPlan, at: DVec2) -> Vec<DVec2> {
     let around = |center: DVec2, radius: f64| {
         (0..16).map(move |k| center + radius * DVec2::from_angle(std::f64::consts::TAU * f64::from(k) / 16.0))
@@ -103,7 +103,8 @@ fn outline_at(body: &Body, x_wb: &DPose3) -> Vec<DVec2> {
     outline_of(body.visual.vertices.iter().map(|&p| x_wb.transform_point(p)))
 }
 
-/// Where a trajectory left a body, relative to where the planner saw it; `None` where it stayed.
+/// Returns the final pose of a body: its motion in the trajectory, applied to its pose in the scene. `None` if it did
+/// not move.
 fn moved_to(trajectory: &Trajectory, name: &str, body: &Body) -> Option<DPose3> {
     let states = &trajectory.body(name)?.states;
     let (first, last) = (states.first()?.x_wb, states.last()?.x_wb);
@@ -112,13 +113,14 @@ fn moved_to(trajectory: &Trajectory, name: &str, body: &Body) -> Option<DPose3> 
     moved.then(|| last * first.inverse() * body.x_wb)
 }
 
-/// The picture: structure, region of the wash, planned way and over it the realised one, and where each body went.
+/// Draws the landing from above: structure, wash region, planned and realised paths, and the final pose of each moved
+/// body.
 pub(crate) fn landing_svg(scene: &Scene, landing: &LandingInput<'_>) -> Option<String> {
     let plan = landing.plan;
     let resolved = plan.landing();
     let mut bodies: Vec<&Body> =
         scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic && b.name != QUADROTOR).collect();
-    // What lies higher is drawn over what carries it.
+    // Draws supporting bodies first.
     let top = |b: &Body| b.visual.aabb().map_or(0.0, |a| b.x_wb.translation.z + a.max.z);
     bodies.sort_by(|a, b| top(a).total_cmp(&top(b)));
     let outlines: Vec<TopOutline> = bodies
@@ -140,7 +142,7 @@ pub(crate) fn landing_svg(scene: &Scene, landing: &LandingInput<'_>) -> Option<S
     let (low, high) = (low - 0.25, high + 0.25);
     let scale = SIZE / (high - low).max_element();
 
-    // Jets spread on their way down to the platform; what is below this is blown at.
+    // The wash region: jets spread on their way down to the platform.
     let depth = plan.task.flight.height + resolved.vehicle().standing_height();
     let reach = plan.vehicle.rotors.iter().map(|p| p.truncate().length()).fold(0.0, f64::max);
     let blown = reach + plan.vehicle.rotor_radius + SPREADING_RATE * depth;
@@ -207,13 +209,13 @@ fn legend(svg: &mut String, height: f64) {
     let _ = write!(
         svg,
         "<rect x=\"212\" y=\"{:.0}\" width=\"28\" height=\"12\" fill=\"{WASH}\" fill-opacity=\"0.5\"/>\
-         <text x=\"246\" y=\"{t:.0}\">blown at</text><text x=\"330\" y=\"{t:.0}\">grid 10 cm</text></g>",
+         <text x=\"246\" y=\"{t:.0}\">wash region</text><text x=\"330\" y=\"{t:.0}\">grid 10 cm</text></g>",
         y - 6.0,
         t = y + 4.0
     );
 }
 
-/// What a landing came to, in a line.
+/// Describes the outcome of a landing in one line.
 pub(crate) fn verdict(outcome: &LandingOutcome) -> String {
     match &outcome.failure {
         None => "success".to_owned(),
@@ -222,22 +224,18 @@ pub(crate) fn verdict(outcome: &LandingOutcome) -> String {
     }
 }
 
-/// Value and note of the card of what is predicted.
+/// Returns the value and the note of the prediction card.
 pub(crate) fn predicted_card(plan: &LandingPlan) -> (String, String) {
     match &plan.predicted {
         Some(p) => (
             format!("{:.0} % succeed", 100.0 * p.success_share),
-            format!(
-                "of {} worlds that differ within what is not known; in the scanned one: {}",
-                p.worlds,
-                verdict(&plan.nominal)
-            ),
+            format!("of {} perturbed worlds; in the scanned world: {}", p.worlds, verdict(&plan.nominal)),
         ),
-        None => (verdict(&plan.nominal), "in the scanned world; others were not looked at".to_owned()),
+        None => (verdict(&plan.nominal), "in the scanned world; not tested in perturbed ones".to_owned()),
     }
 }
 
-/// Tables of a landing.
+/// Returns the tables of a landing.
 pub(crate) fn landing_section(landing: &LandingInput<'_>) -> String {
     let plan = landing.plan;
     let mut html = String::from("<table><tr><th>action</th><th>value</th><th>range searched</th></tr>");
@@ -261,12 +259,12 @@ pub(crate) fn landing_section(landing: &LandingInput<'_>) -> String {
         e.sph,
         escape(&plan.engine)
     );
-    html.push_str("<table><tr><th></th><th>wash</th><th>verdict</th><th>objective</th><th>place off by</th><th>leans by</th></tr>");
+    html.push_str("<table><tr><th></th><th>wash</th><th>verdict</th><th>objective</th><th>landing error</th><th>tilt</th></tr>");
     row(&mut html, "predicted, scanned world", &plan.nominal);
     if let Some(r) = landing.realised {
         row(&mut html, &format!("realised, {}", r.engine), r.outcome);
         if let Some(second) = r.second_opinion {
-            row(&mut html, "… with the second model of wash", second);
+            row(&mut html, "… with the second wash model", second);
         }
     }
     html.push_str("</table>");
@@ -292,7 +290,7 @@ fn row(html: &mut String, name: &str, outcome: &LandingOutcome) {
 
 fn bodies_table(html: &mut String, landing: &LandingInput<'_>) {
     html.push_str(
-        "<table><tr><th>structure</th><th>predicted: moved, turned</th><th>force of the air, at most</th>\
+        "<table><tr><th>structure</th><th>predicted: moved, turned</th><th>largest wash force</th>\
          <th>realised: moved, turned</th></tr>",
     );
     for change in &landing.plan.nominal.bodies {
@@ -331,10 +329,9 @@ fn prediction_text(p: &LandingPrediction) -> String {
     } else {
         format!(" Failures by kind: {}.", failures.join(", "))
     };
-    let invalid =
-        if p.invalid > 0 { format!(" {} could not be believed.", p.invalid) } else { String::new() };
+    let invalid = if p.invalid > 0 { format!(" {} invalid rollouts.", p.invalid) } else { String::new() };
     format!(
-        "<p>In {} other worlds (wash by {}): {:.0} % succeed; objective {:.3} on average, {:.3} to {:.3} in 8 of 10.{}{}</p>",
+        "<p>In {} other worlds (wash by {}): {:.0} % succeed; objective {:.3} on average, {:.3} to {:.3} in 80 %.{}{}</p>",
         p.worlds,
         model(p.wash),
         100.0 * p.success_share,
@@ -448,12 +445,12 @@ mod tests {
 
         let both = landing_svg(&scene, &input).unwrap();
         let alone = landing_svg(&scene, &planned_alone).unwrap();
-        assert!(both.contains("planned") && both.contains("blown at") && both.contains(">table<"));
-        // The vehicle, its way, and the table where it went.
+        assert!(both.contains("planned") && both.contains("wash region") && both.contains(">table<"));
+        // The vehicle, its path, and the final outline of the table.
         assert_eq!(both.matches("polyline").count(), alone.matches("polyline").count() + 3);
         let html = landing_section(&input);
         assert!(
-            html.contains("7.2 N") && html.contains("20.00 cm, 0.0°") && html.contains("was moved by 20 cm"),
+            html.contains("7.2 N") && html.contains("20.00 cm, 0.0°") && html.contains("moved by 20 cm"),
             "{html}"
         );
         assert_eq!(predicted_card(&plan).0, "success");

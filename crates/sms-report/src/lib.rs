@@ -1,7 +1,7 @@
 //! The report page and its figures.
 //!
-//! [`write_report`] makes `report/index.html`: one page without outside files, with the scan, the objects, the planned shot,
-//! predicted against realised, and a 3-D view; its pictures are also written as PNG beside it.
+//! [`write_report`] writes `report/index.html`: a self-contained page with the scan, the objects, the plan, predicted
+//! and realised outcomes, and a 3-D view. Its pictures are also written as PNG files.
 
 mod colormap;
 mod error;

@@ -1,11 +1,11 @@
-//! A scan in a Rerun viewer while it runs (feature `rerun`).
+//! Streams a running scan to a Rerun viewer (feature `rerun`).
 //!
-//! Timelines: `step` (training steps; everything is on it, and the viewer follows it) and `frame`. Entities:
-//! `world/camera` with `observed` and `rendered` pictures and depth below it, `world/path` (where the camera was),
-//! `world/gaussians`, `losses/*` and `scan/*` (Gaussians, PSNR of the frame done last).
+//! Timelines: `step` (training steps; holds all data, and the viewer follows it) and `frame`. Entities: `world/camera`
+//! with `observed` and `rendered` pictures and depth below it, `world/path` (camera path), `world/gaussians`,
+//! `losses/*` and `scan/*` (number of Gaussians, PSNR of the last frame).
 //!
-//! The viewer is served by a thread of its own: when it is slow, hangs or is closed, pictures are dropped and the scan
-//! goes on.
+//! A separate thread serves the viewer: if the viewer is slow, hangs or is closed, messages are dropped and the scan
+//! continues.
 
 use crate::rerun_parts::{
     APPLICATION, GaussianPoints, Logged, bytes_of, color_image, depth_image, pinhole, transform,
@@ -22,35 +22,35 @@ use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
 
-/// The port at which a viewer listens unless told otherwise.
+/// Default port of a viewer.
 const PORT: u16 = rerun::DEFAULT_SERVER_PORT;
-/// Most Gaussians shown after a frame, and at the end.
+/// Largest number of Gaussians shown after a frame, and at the end.
 const MOST_POINTS: (usize, usize) = (30_000, 200_000);
-/// Messages that wait for a slow viewer; a frame's is some megabytes.
+/// Largest number of messages in the queue; the message of a frame has several megabytes.
 const WAITING: usize = 32;
-/// How long a viewer may take to answer, and to take what is left at the end.
+/// Timeout of a viewer for answering, and for receiving the remaining data at the end.
 const PATIENCE: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 10 });
 
-/// Which viewer.
+/// The viewer to stream to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Viewer {
-    /// The one open on this machine, else a new one.
+    /// The viewer that is open on this machine, or a new one.
     Any,
-    /// The one that listens here: `host:port`, or `rerun+http://host:port/proxy`.
+    /// The viewer at an address: `host:port`, or `rerun+http://host:port/proxy`.
     At(String),
 }
 
-/// What went wrong with a live view; the scan itself is not concerned.
+/// An error of a live view, which does not affect the scan.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
-    /// No viewer to stream to.
+    /// No viewer was found.
     #[error(transparent)]
     Input(#[from] InputError),
-    /// The SDK refused.
+    /// The SDK failed.
     #[error("cannot stream to the Rerun viewer: {0}")]
     Sdk(#[from] rerun::RecordingStreamError),
-    /// The viewer went away or could not follow.
-    #[error("the Rerun viewer did not take everything: {0}")]
+    /// The viewer was closed, or it was too slow.
+    #[error("the Rerun viewer did not receive all data: {0}")]
     Behind(String),
 }
 
@@ -68,7 +68,7 @@ enum Message {
     Slot(Box<FrameUpdate>),
 }
 
-/// A frame that is done, in plain numbers.
+/// Data of a finished frame.
 struct FrameUpdate {
     step: u64,
     frame: usize,
@@ -84,16 +84,16 @@ struct FrameUpdate {
 #[derive(Debug)]
 pub struct LiveScan {
     sender: Option<SyncSender<Message>>,
-    /// Tells how the thread ended.
+    /// Receives the result of the thread.
     ended: Receiver<Result<(), String>>,
     dropped: usize,
 }
 
 impl LiveScan {
-    /// Connects to a viewer, or starts one, and shows the layout; `name` is that of the recording.
+    /// Connects to a viewer, or starts one, and sends the layout; `name` is the name of the recording.
     ///
     /// # Errors
-    /// [`LiveError::Input`] when no viewer answers or none is installed.
+    /// [`LiveError::Input`] if no viewer answers or none is installed.
     pub fn start(viewer: &Viewer, name: &str) -> Result<Self, LiveError> {
         let builder = RecordingStreamBuilder::new(APPLICATION).recording_name(format!("scan of {name}"));
         let rec = match viewer {
@@ -103,7 +103,7 @@ impl LiveScan {
                     return Err(InputError::new(
                         "no Rerun viewer answers",
                         address,
-                        "start one there (`rerun`), or give --live without an address",
+                        "start a viewer there (`rerun`), or use --live without an address",
                     )
                     .into());
                 }
@@ -116,14 +116,14 @@ impl LiveScan {
         Ok(Self::serve(rec))
     }
 
-    /// A thread that logs what comes.
+    /// Starts the thread that logs the messages.
     fn serve(rec: RecordingStream) -> Self {
         let (sender, receiver) = sync_channel(WAITING);
         let (ended_sender, ended) = sync_channel(1);
         std::thread::spawn(move || {
             let logged = log_all(&rec, &receiver).map_err(|e| e.to_string());
             let flushed = rec.flush_with_timeout(PATIENCE).map_err(|e| e.to_string());
-            // Whoever started the stream may have stopped waiting.
+            // The receiver may have timed out.
             let _ = ended_sender.send(logged.and(flushed));
         });
         Self { sender: Some(sender), ended, dropped: 0 }
@@ -138,20 +138,20 @@ impl LiveScan {
         }
     }
 
-    /// Waits, but not for ever, until the viewer has everything.
+    /// Waits, with a timeout, until the viewer has received all data.
     ///
     /// # Errors
-    /// [`LiveError::Behind`] when it has not.
+    /// [`LiveError::Behind`] if it has not.
     pub fn finish(mut self) -> Result<(), LiveError> {
         drop(self.sender.take());
         let ended = match self.ended.recv_timeout(2 * PATIENCE) {
             Ok(ended) => ended,
-            Err(RecvTimeoutError::Timeout) => Err("it does not answer any more".to_owned()),
-            Err(RecvTimeoutError::Disconnected) => Err("the stream broke off".to_owned()),
+            Err(RecvTimeoutError::Timeout) => Err("it stopped answering".to_owned()),
+            Err(RecvTimeoutError::Disconnected) => Err("the stream ended unexpectedly".to_owned()),
         };
         match (ended, self.dropped) {
             (Ok(()), 0) => Ok(()),
-            (Ok(()), n) => Err(LiveError::Behind(format!("it was too slow for {n} messages"))),
+            (Ok(()), n) => Err(LiveError::Behind(format!("it was too slow, and {n} messages were dropped"))),
             (Err(why), _) => Err(LiveError::Behind(why)),
         }
     }
@@ -230,7 +230,7 @@ fn log_slot(rec: &RecordingStream, slot: FrameUpdate, path: &mut Vec<[f32; 3]>) 
     rec.log("world/gaussians", &slot.points.archetype())
 }
 
-/// The scene beside the pictures and the curves; the time line follows the training.
+/// Lays out the scene beside the pictures and the curves; the time panel follows the training.
 fn blueprint() -> Blueprint {
     let picture = |name: &str, what: &str, kind: &str| {
         Spatial2DView::new(format!("{name} {what}"))
@@ -270,11 +270,11 @@ fn spawn_options() -> rerun::SpawnOptions {
 fn not_installed(error: rerun::RecordingStreamError) -> LiveError {
     match error {
         rerun::RecordingStreamError::SpawnViewer(why) => InputError::new(
-            "no Rerun viewer is open, and none can be started",
+            "no Rerun viewer is open, and starting one failed",
             "rerun (on the PATH)",
             format!(
-                "install the one that fits this program: pip install rerun-sdk=={0}, or cargo install rerun-cli \
-                 --version {0}; or start it elsewhere and give --live=HOST:PORT",
+                "install the matching version: pip install rerun-sdk=={0}, or cargo install rerun-cli --version {0}; \
+                 or start a viewer elsewhere and use --live=HOST:PORT",
                 rerun::build_info().version
             ),
         )
@@ -284,7 +284,7 @@ fn not_installed(error: rerun::RecordingStreamError) -> LiveError {
     }
 }
 
-/// `host:port` and `host` become the viewer's URL; URLs stay.
+/// Converts `host:port` and `host` to the viewer's URL; keeps URLs.
 fn url_of(address: &str) -> Result<String, InputError> {
     if address.contains("://") {
         let known = ["rerun://", "rerun+http://", "rerun+https://"].iter().any(|s| address.starts_with(s));
@@ -303,13 +303,13 @@ fn url_of(address: &str) -> Result<String, InputError> {
         return Ok(format!("rerun+http://{address}:{PORT}/proxy"));
     }
     Err(InputError::new(
-        "this is no address of a Rerun viewer",
+        "this is not the address of a Rerun viewer",
         address,
-        format!("give host:port or rerun+http://host:port/proxy; a viewer listens at port {PORT}"),
+        format!("use host:port or rerun+http://host:port/proxy; viewers listen on port {PORT} by default"),
     ))
 }
 
-/// Whether something listens at the URL.
+/// Returns whether a server listens at the URL.
 fn answers(url: &str) -> bool {
     let Some(place) = url.split("://").nth(1).and_then(|rest| rest.split('/').next()) else { return false };
     let place = if place.rsplit_once(':').is_some_and(|(_, p)| p.parse::<u16>().is_ok()) {
@@ -347,7 +347,7 @@ mod tests {
 
     #[test]
     fn a_viewer_that_is_not_there_is_an_input_error() {
-        // A port that was free a moment ago.
+        // A port without a server.
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let error = LiveScan::start(&Viewer::At(format!("127.0.0.1:{port}")), "x").unwrap_err();
         assert!(matches!(&error, LiveError::Input(e) if e.to_string().contains("no Rerun viewer answers")));
@@ -374,7 +374,7 @@ mod tests {
 
     #[test]
     fn a_viewer_that_hangs_holds_nobody_up_and_is_named_at_the_end() {
-        // It accepts connections (the system does) and never reads.
+        // A server that accepts connections (by the operating system) and never reads.
         let hangs = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let address = hangs.local_addr().unwrap().to_string();
         let mut live = LiveScan::start(&Viewer::At(address), "x").unwrap();

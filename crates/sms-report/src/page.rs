@@ -1,4 +1,4 @@
-//! The page.
+//! Builds the report page.
 
 use crate::error::ReportError;
 use crate::figures::view_rows;
@@ -25,7 +25,7 @@ const THREE_LICENSE: &str = include_str!("../assets/three.LICENSE");
 /// Writes `index.html` and its pictures into `dir`; returns the page's path.
 ///
 /// # Errors
-/// [`ReportError::Core`] when a file cannot be written.
+/// [`ReportError::Core`] if a file cannot be written.
 pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, ReportError> {
     let views = view_rows(&input.views, dir)?;
     let (file, shot) = match (&input.landing, input.scene) {
@@ -36,10 +36,10 @@ pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, Repo
         atomic::write_bytes(&dir.join(file), svg.as_bytes())?;
     }
     let pictures = choice_pictures(&input.pictures, dir)?;
-    // `</` inside a script element would end it.
+    // `</` would end the script element.
     let data = view_data(input).to_string().replace("</", "<\\/");
     let missing = |what: &str, command: &str| {
-        format!("<p class=\"missing\">No {what} in this run yet: <code>sms {command}</code> makes it.</p>")
+        format!("<p class=\"missing\">No {what} yet. Run <code>sms {command}</code>.</p>")
     };
     let parts: [(&str, String); 17] = [
         ("title", escape(&input.title)),
@@ -65,7 +65,7 @@ pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, Repo
     Ok(path)
 }
 
-/// Replaces each `{{name}}` in one pass, so that inserted text is never searched again.
+/// Replaces each `{{name}}` in one pass, so that inserted text is not searched again.
 fn fill(template: &str, parts: &[(&str, String)]) -> String {
     let mut out = String::with_capacity(template.len() + parts.iter().map(|p| p.1.len()).sum::<usize>());
     let mut rest = template;
@@ -100,14 +100,14 @@ fn cards(input: &ReportInput<'_>) -> String {
         let unbelievable = plan.strategies.first().and_then(|s| s.failure_text());
         let note = match (&plan.predicted, unbelievable) {
             (Some(p), _) => format!(
-                "on average; 9 in 10 worlds within {}, {} in the scanned one",
+                "on average; within {} in 90 % of perturbed worlds, {} in the scanned one",
                 length_text(p.q90),
                 length_text(plan.objective)
             ),
-            (None, Some(text)) => format!("in the scanned world; in perturbed ones it {text}"),
-            _ if plan.is_nominal_only() => "in the scanned world; others were not looked at".to_owned(),
+            (None, Some(text)) => format!("in the scanned world; the plan {text}"),
+            _ if plan.is_nominal_only() => "in the scanned world; not tested in perturbed ones".to_owned(),
             // Plans of earlier versions.
-            _ => format!("90 % of perturbed worlds within {}", length_text(plan.objective_q90)),
+            _ => format!("within {} in 90 % of perturbed worlds", length_text(plan.objective_q90)),
         };
         let value = plan.predicted.map_or(plan.objective, |p| p.mean);
         card(&mut html, "Predicted miss", &length_text(value), &note, "main");
@@ -132,7 +132,7 @@ fn cards(input: &ReportInput<'_>) -> String {
     }
     if let Some(psnr) = m("scan.holdout_psnr_db").or(m("scan.train_psnr_db")) {
         let held = m("scan.holdout_psnr_db").is_some();
-        let note = if held { "views kept out of training" } else { "training views" };
+        let note = if held { "views held out of training" } else { "training views" };
         card(&mut html, "Scan PSNR", &format!("{psnr:.1} dB"), note, "");
     }
     if let Some(mae) = m("scan.holdout_depth_mae_m").or(m("scan.train_depth_mae_m")) {
@@ -158,12 +158,12 @@ fn cards(input: &ReportInput<'_>) -> String {
     html
 }
 
-/// Writes the pictures as `choice_N.png` and returns the section that shows them; empty without any.
+/// Writes the pictures as `choice_N.png` and returns the section that shows them; empty without pictures.
 fn choice_pictures(pictures: &[(String, ColorImage)], dir: &Path) -> Result<String, CoreError> {
     if pictures.is_empty() {
         return Ok(String::new());
     }
-    let mut html = String::from("<section><h2>What was chosen from</h2><div class=\"columns\">");
+    let mut html = String::from("<section><h2>Candidates of the choice</h2><div class=\"columns\">");
     for (k, (text, image)) in pictures.iter().enumerate() {
         let path = dir.join(format!("choice_{}.png", k + 1));
         write_png_color(&path, image)?;
@@ -182,8 +182,7 @@ fn choice_pictures(pictures: &[(String, ColorImage)], dir: &Path) -> Result<Stri
 
 fn plan_section(input: &ReportInput<'_>) -> String {
     let Some(plan) = input.plan else {
-        return "<p class=\"missing\">No plan in this run yet: <code>sms plan RUN --task T.toml</code> makes it.</p>"
-            .into();
+        return "<p class=\"missing\">No plan yet. Run <code>sms plan RUN --task T.toml</code>.</p>".into();
     };
     let mut html = String::from("<table><tr><th>action</th><th>value</th><th>range searched</th></tr>");
     for (p, value) in plan.parameters.iter().zip(&plan.action.0) {
@@ -198,7 +197,7 @@ fn plan_section(input: &ReportInput<'_>) -> String {
     }
     let invalid = if plan.invalid > 0 {
         let why = plan.failure_text().map(|t| format!(" ({})", escape(&t))).unwrap_or_default();
-        format!(", {} of which could not be believed and were never the best{why}", plan.invalid)
+        format!(", {} of which were invalid and discarded{why}", plan.invalid)
     } else {
         String::new()
     };
@@ -214,7 +213,7 @@ fn plan_section(input: &ReportInput<'_>) -> String {
 
 fn objects_table(input: &ReportInput<'_>) -> String {
     let Some(scene) = input.scene else {
-        return "<p class=\"missing\">No objects in this run yet: <code>sms materialize RUN</code> makes them.</p>".into();
+        return "<p class=\"missing\">No objects yet. Run <code>sms materialize RUN</code>.</p>".into();
     };
     let truth = input.metrics.iter().any(|(k, _)| k.starts_with("evaluate."));
     let mut html = String::from(
@@ -222,7 +221,7 @@ fn objects_table(input: &ReportInput<'_>) -> String {
          <th>restitution</th><th>observed</th>",
     );
     if truth {
-        html.push_str("<th>against the known model</th>");
+        html.push_str("<th>error to the known model</th>");
     }
     html.push_str("</tr>");
     for body in &scene.bodies {
@@ -313,7 +312,7 @@ fn loss_curves(losses: &[LossPoint]) -> String {
             html,
             "<figure class=\"curve\"><svg viewBox=\"0 0 {w} {h}\"><polyline points=\"{}\" fill=\"none\" \
              stroke=\"{color}\" stroke-width=\"1.5\"/><text x=\"4\" y=\"{:.0}\" font-size=\"13\" fill=\"#777\">0 to {last:.0} \
-             steps; {:.2e} to {:.2e}, logarithmic</text></svg><figcaption>{name}</figcaption></figure>",
+             steps; {:.2e} to {:.2e}, log scale</text></svg><figcaption>{name}</figcaption></figure>",
             points.join(" "),
             h - 4.0,
             10f64.powf(low),

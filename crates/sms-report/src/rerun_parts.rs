@@ -1,4 +1,4 @@
-//! What recordings and live streams for Rerun have in common (feature `rerun`).
+//! Conversions shared by Rerun recordings and live streams (feature `rerun`).
 
 use sms_core::Camera;
 use sms_core::glamx::DPose3;
@@ -7,16 +7,16 @@ use sms_gaussians::GaussianModel;
 /// The result of logging.
 pub(crate) type Logged = Result<(), rerun::RecordingStreamError>;
 
-/// The application's id: the viewer keeps a layout for each.
+/// The application's id: the viewer keeps a layout per application.
 pub(crate) const APPLICATION: &str = "sms";
 
-/// A pose as a transform of everything below it.
+/// Converts a pose to the transform of an entity and its children.
 pub(crate) fn transform(x: &DPose3) -> rerun::Transform3D {
     let (t, q) = (x.translation.as_vec3(), x.rotation.as_quat());
     rerun::Transform3D::from_translation_rotation(t.to_array(), rerun::Quaternion::from_xyzw(q.to_array()))
 }
 
-/// The lens of a camera.
+/// Converts the intrinsics of a camera.
 pub(crate) fn pinhole(camera: &Camera) -> rerun::Pinhole {
     let k = camera.intrinsics;
     rerun::Pinhole::from_focal_length_and_resolution(
@@ -28,24 +28,24 @@ pub(crate) fn pinhole(camera: &Camera) -> rerun::Pinhole {
     .with_image_plane_distance(0.1)
 }
 
-/// A colour image of `size` (width, height).
+/// Converts a colour image of `size` (width, height).
 pub(crate) fn color_image(pixels: Vec<u8>, size: [u32; 2]) -> rerun::Image {
     rerun::Image::from_rgb24(pixels, size)
 }
 
-/// A depth image in metres; 0 is no measurement.
+/// Converts a depth image in metres; 0 means no measurement.
 pub(crate) fn depth_image(metres: &[f32], size: [u32; 2]) -> rerun::DepthImage {
     let bytes: Vec<u8> = metres.iter().flat_map(|z| z.to_le_bytes()).collect();
     let format = rerun::components::ImageFormat::depth(size, rerun::ChannelDatatype::F32);
     rerun::DepthImage::new(bytes, format).with_meter(1.0)
 }
 
-/// Colours from 0 to 1 as bytes.
+/// Converts colours from 0 to 1 to bytes.
 pub(crate) fn bytes_of(color: [f32; 3]) -> [u8; 3] {
     color.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8)
 }
 
-/// Gaussians as points, in plain numbers.
+/// Gaussians as points.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct GaussianPoints {
     positions: Vec<[f32; 3]>,
@@ -55,7 +55,7 @@ pub(crate) struct GaussianPoints {
 }
 
 impl GaussianPoints {
-    /// The Gaussians of a model, evenly thinned to at most `most`; the points grow as they get fewer.
+    /// Converts the Gaussians of a model, thinned evenly to at most `most`; fewer points are larger.
     pub(crate) fn of(model: &GaussianModel, most: usize) -> Self {
         let stride = model.len().div_ceil(most.max(1)).max(1);
         let growth = (stride as f32).sqrt();
@@ -70,13 +70,13 @@ impl GaussianPoints {
         points
     }
 
-    /// Number of points.
+    /// Returns the number of points.
     #[cfg(test)]
     pub(crate) fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// As Rerun takes them.
+    /// Converts the points for Rerun.
     pub(crate) fn archetype(self) -> rerun::Points3D {
         rerun::Points3D::new(self.positions)
             .with_radii(self.radii)
@@ -101,7 +101,7 @@ mod tests {
         };
         let all = GaussianPoints::of(&model, 1000);
         assert_eq!((all.len(), all.colors[0]), (1000, [255, 128, 0]));
-        assert!((all.radii[0] - 0.004).abs() < 1e-6, "the disc's mean radius, not its thickness");
+        assert!((all.radii[0] - 0.004).abs() < 1e-6, "the disc's mean radius");
         let some = GaussianPoints::of(&model, 300);
         assert_eq!((some.len(), some.positions[1][0]), (250, 4.0));
         assert!((some.radii[0] - 0.008).abs() < 1e-6);

@@ -1,9 +1,9 @@
-//! `run.rrd`: the run as a Rerun recording (feature `rerun`).
+//! Writes a run as a Rerun recording, `run.rrd` (feature `rerun`).
 //!
-//! Timelines: `step` (training steps; what the viewer opens on, so that curves, pictures and scene are all there),
-//! `time` (seconds of the shot) and `frame` (of the recording). Entities: `world/camera` (images, depth, labels, as
-//! observed and as rendered), `world/gaussians`, `world/bodies/*` (moving as predicted), `world/realised/*`,
-//! `world/paths/*`, `world/air` (particles of a landing's wash), `losses/*`.
+//! Timelines: `step` (training steps; the viewer opens on it, because curves, pictures and scene are all on it), `time`
+//! (seconds of the shot) and `frame` (of the recording). Entities: `world/camera` (observed and rendered images, depth,
+//! labels), `world/gaussians`, `world/bodies/*` (moving as predicted), `world/realised/*`, `world/paths/*`, `world/air`
+//! (particles of a landing's wash), `losses/*`.
 
 use crate::input::ReportInput;
 use crate::landing::{planner_name, with_vehicle};
@@ -20,7 +20,7 @@ use sms_scene::{BodyKind, BodyShape, Scene};
 use sms_task::Trajectory;
 use std::path::{Path, PathBuf};
 
-/// Errors of writing a Rerun recording.
+/// An error of writing a Rerun recording.
 #[derive(Debug, thiserror::Error)]
 pub enum RrdError {
     /// The SDK could not log or write.
@@ -28,18 +28,18 @@ pub enum RrdError {
     Sdk {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         source: rerun::RecordingStreamError,
     },
-    /// Not everything reached the file.
-    #[error("the Rerun recording {path} is not whole: {why}")]
+    /// Some data did not reach the file.
+    #[error("the Rerun recording {path} is incomplete: {why}")]
     Flush {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         why: String,
     },
-    /// The finished recording could not be put in place.
+    /// The finished recording could not be moved into place.
     #[error(transparent)]
     Core(#[from] sms_core::CoreError),
 }
@@ -53,10 +53,10 @@ impl StageError for RrdError {
     }
 }
 
-/// Writes the recording; an earlier one stays whole until this one is complete.
+/// Writes the recording; an earlier one stays intact until this one is complete.
 ///
 /// # Errors
-/// [`RrdError`] naming the file.
+/// [`RrdError`] that names the file.
 pub fn write_rrd(path: &Path, input: &ReportInput<'_>) -> Result<(), RrdError> {
     let temporary = path.with_extension("rrd.tmp");
     let sdk = |source| RrdError::Sdk { path: path.to_owned(), source };
@@ -135,7 +135,7 @@ fn blueprint() -> Blueprint {
         ])
         .into(),
     ]))
-    // The shot is on `time`, which has no curves.
+    // The shot is on the timeline `time`, which has no curves.
     .with_time_panel(TimePanel::new().with_timeline("step"))
 }
 
@@ -143,7 +143,7 @@ fn log_views(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
     let last_step = input.losses.last().map_or(0, |l| l.step);
     for (shown, view) in input.views.iter().enumerate() {
         rec.set_time_sequence("frame", view.frame_index as i64);
-        // On the other timelines, too, spread over them from the start: else the pictures are blank there.
+        // The pictures are also spread over the other timelines, where they would be blank otherwise.
         rec.set_duration_secs("time", shown as f64);
         rec.set_time_sequence("step", (last_step * shown as u64 / input.views.len() as u64) as i64);
         rec.log("world/camera", &transform(&view.camera.x_wc))?;
@@ -189,7 +189,7 @@ fn log_bodies(rec: &RecordingStream, scene: &Scene, root: &str, tint: Option<[u8
             continue;
         }
         let at = format!("{root}/{}", body.name);
-        // Not static: static poses would hide the motion. Bodies stand there from the start of every timeline.
+        // Static poses would hide the motion, so bodies are logged at the start of every timeline.
         rec.set_time_sequence("step", 0);
         rec.set_time_sequence("frame", 0);
         rec.set_duration_secs("time", 0.0);
@@ -209,7 +209,7 @@ fn log_bodies(rec: &RecordingStream, scene: &Scene, root: &str, tint: Option<[u8
     Ok(())
 }
 
-/// Moves the scene's bodies as a trajectory says, relative to each body's first state.
+/// Logs the motion of a trajectory, applied to the scene's bodies relative to their first states.
 fn log_motion(
     rec: &RecordingStream,
     scene: &Scene,
@@ -230,7 +230,7 @@ fn log_motion(
     Ok(())
 }
 
-/// The air's particles over the time of the flight.
+/// Logs the wash particles over the time of the flight.
 fn log_particles(rec: &RecordingStream, frames: &[ParticleFrame]) -> Logged {
     for frame in frames {
         rec.set_duration_secs("time", frame.time_s);

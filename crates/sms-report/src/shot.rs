@@ -1,4 +1,4 @@
-//! The planned shot from above, as SVG.
+//! Draws the planned shot from above, as SVG.
 
 use crate::input::ReportInput;
 use crate::top_view::{TopOutline, TopPath, TopShape, TopView};
@@ -8,9 +8,9 @@ use sms_scene::{Body, BodyKind, BodyShape};
 use sms_task::Trajectory;
 use std::fmt::Write;
 
-/// Pixels of the picture's longer side.
+/// Length of the picture's longer side, pixels.
 const SIZE: f64 = 760.0;
-/// What moves less is at rest in the picture, metres.
+/// Smallest displacement that is drawn, metres.
 const STILL_M: f64 = 0.003;
 
 fn outline(body: &Body) -> TopOutline {
@@ -32,7 +32,7 @@ fn path_of(trajectory: &Trajectory, name: &str) -> Vec<DVec2> {
     track.states.iter().map(|s| s.x_wb.translation.truncate()).collect()
 }
 
-/// The picture; `None` without a scene.
+/// Draws the picture; `None` without a scene.
 pub(crate) fn shot_svg(input: &ReportInput<'_>) -> Option<String> {
     let scene = input.scene?;
     let dynamic: Vec<&Body> = scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic).collect();

@@ -1,4 +1,4 @@
-//! A scene from above, as SVG: outlines, ways, a goal.
+//! A scene from above, as SVG: outlines, paths, a goal.
 
 use glamx::DVec2;
 use serde::{Deserialize, Serialize};
@@ -7,37 +7,37 @@ use std::fmt::Write;
 const MARGIN_M: f64 = 0.15;
 const BACKGROUND: &str = "#f4f1ea";
 
-/// Outline of a body in the plane of the world, metres.
+/// Outline of a body in the xy plane of the world, metres.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case")]
 pub enum TopShape {
-    /// A disc, of a ball.
+    /// The disc of a ball.
     Disc {
         /// Centre.
         center_w: [f64; 2],
         /// Radius.
         radius: f64,
     },
-    /// Convex polygons, counter-clockwise, whose union it is.
+    /// The union of convex polygons, counter-clockwise.
     Polygons {
-        /// Their corners.
+        /// Corners of the polygons.
         polygons_w: Vec<Vec<[f64; 2]>>,
     },
 }
 
-/// A body as seen from above.
+/// A body from above.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TopOutline {
-    /// Written on it where names are shown.
+    /// Name, drawn if names are shown.
     pub name: String,
-    /// sRGB.
+    /// Colour, sRGB.
     pub color: [u8; 3],
-    /// Where it is.
+    /// Outline in the world.
     pub shape: TopShape,
 }
 
 impl TopOutline {
-    /// The least and the greatest coordinates, metres; `None` without a point.
+    /// Returns the smallest and largest coordinates, metres; `None` without points.
     pub fn bounds(&self) -> Option<(DVec2, DVec2)> {
         match &self.shape {
             TopShape::Disc { center_w, radius } => {
@@ -53,30 +53,30 @@ fn bounds(points: impl Iterator<Item = DVec2>) -> Option<(DVec2, DVec2)> {
     points.fold(None, |b, p| Some(b.map_or((p, p), |(low, high): (DVec2, DVec2)| (low.min(p), high.max(p)))))
 }
 
-/// A line along which something moves.
+/// The path of a moving body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TopPath {
-    /// Its points, metres in the plane of the world.
+    /// Points in the xy plane of the world, metres.
     pub points_w: Vec<DVec2>,
-    /// Colour of the line, as SVG writes it.
+    /// Colour of the line, in SVG syntax.
     pub color: String,
     /// Width, pixels.
     pub width: f64,
     /// Opacity.
     pub opacity: f64,
-    /// Whether the line is broken, as realised motion is where planned motion is beside it.
+    /// Whether the line is dashed, like realised motion beside planned motion.
     pub dashed: bool,
-    /// A ball of this radius, metres, and sRGB colour is drawn again and again along it, ever stronger.
+    /// Radius, metres, and sRGB colour of balls that are drawn along the path with increasing opacity.
     pub ghosts: Option<(f64, [u8; 3])>,
 }
 
 impl TopPath {
-    /// A plain line of three pixels.
+    /// Returns a solid line of three pixels.
     pub fn line(points_w: Vec<DVec2>, color: &str) -> Self {
         Self { points_w, color: color.to_owned(), width: 3.0, opacity: 1.0, dashed: false, ghosts: None }
     }
 
-    /// The sweep of a finger that is taken away afterwards (that jump is no path).
+    /// Returns the sweep of a finger, without the jump by which it is removed afterwards.
     pub fn sweep(points_w: &[DVec2]) -> Self {
         let sweep = points_w.windows(2).take_while(|w| (w[1] - w[0]).length() < 0.05).map(|w| w[1]);
         let moving = points_w.first().copied().into_iter().chain(sweep).collect();
@@ -84,35 +84,36 @@ impl TopPath {
     }
 }
 
-/// A picture from above: x to the right, y up, with lines every 10 cm. Motion is cut where the picture ends.
+/// A picture from above: x to the right, y up, with a grid of 10 cm. Paths are clipped at the border.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TopView {
-    /// Bodies.
+    /// Outlines of the bodies.
     pub outlines: Vec<TopOutline>,
-    /// Ways, over the bodies.
+    /// Paths, drawn over the bodies.
     pub paths: Vec<TopPath>,
-    /// Goal.
+    /// Position of the goal, metres.
     pub goal_w: Option<[f64; 2]>,
-    /// Whether bodies are named.
+    /// Whether the names of the bodies are shown.
     pub names: bool,
-    /// Written in the upper left corner.
+    /// Title in the upper left corner.
     pub title: String,
-    /// What is shown, metres; by default all outlines and the goal, with a margin: balls roll far beyond once they have
-    /// passed the goal, and what happens among the objects is the shot.
+    /// The visible region, metres; by default all outlines and the goal, with a margin. Paths do not extend it, because
+    /// balls may roll far beyond the goal.
     pub window_w: Option<(DVec2, DVec2)>,
-    /// Pixels of the longer side.
+    /// Length of the longer side, pixels.
     pub size_px: f64,
 }
 
 impl TopView {
-    /// Least and greatest coordinates that are shown where nothing else is asked for, metres.
+    /// Returns the smallest and largest coordinates of the default visible region, metres.
     pub fn window(&self) -> Option<(DVec2, DVec2)> {
         let corners = self.outlines.iter().filter_map(TopOutline::bounds).flat_map(|(low, high)| [low, high]);
         let (low, high) = bounds(corners.chain(self.goal_w.map(DVec2::from_array)))?;
         Some((low - MARGIN_M, high + MARGIN_M))
     }
 
-    /// The picture; `None` where there is nothing to show. What is in `extra` is drawn above everything, in pixels.
+    /// Draws the picture; `None` if it is empty. `extra` appends SVG in pixel coordinates on top; its second argument
+    /// is the height.
     pub fn svg(&self, extra: impl FnOnce(&mut String, f64)) -> Option<String> {
         let (min, max) = self.window_w.or_else(|| self.window())?;
         let size = max - min;
@@ -210,7 +211,7 @@ impl SvgCanvas {
                 );
             }
             TopShape::Polygons { polygons_w } => {
-                // Edges first and areas above them, so that parts make one outline.
+                // Draws all edges first and the areas over them, so that the parts share one outline.
                 let each: Vec<String> =
                     polygons_w.iter().map(|p| self.points(p.iter().map(|&p| p.into()))).collect();
                 for points in &each {
@@ -239,7 +240,7 @@ impl SvgCanvas {
 
     fn path(&self, svg: &mut String, path: &TopPath) {
         if let Some((radius, color)) = path.ghosts {
-            // Two radii apart, so that they are told from each other.
+            // Two radii apart, so that they are distinguishable.
             let mut shown: Vec<DVec2> = Vec::new();
             for &p in &path.points_w {
                 if shown.last().is_none_or(|q| q.distance(p) > 2.0 * radius) {

@@ -1,4 +1,4 @@
-//! Data of the interactive 3-D view: binary buffers as base64 inside JSON.
+//! Data of the interactive 3-D view: JSON with binary buffers in base64.
 
 use crate::input::ReportInput;
 use crate::landing::{planner_name, with_vehicle};
@@ -8,7 +8,7 @@ use sms_core::Mesh;
 use sms_scene::{Body, BodyShape};
 use sms_task::Trajectory;
 
-/// Most Gaussians that are shown as points; more are thinned evenly.
+/// Largest number of Gaussians shown as points; more are thinned evenly.
 const MAX_POINTS: usize = 60_000;
 
 fn base64_of(bytes: &[u8]) -> String {
@@ -59,7 +59,7 @@ fn trajectory_value(trajectory: &Trajectory, rename: impl Fn(&str) -> Option<Str
     json!({ "times": floats(trajectory.times_s.iter().copied()), "bodies": bodies })
 }
 
-/// Everything that the page's script draws.
+/// Returns the data for the page's script.
 pub(crate) fn view_data(input: &ReportInput<'_>) -> Value {
     let points = input.gaussians.map(|g| {
         let stride = g.len().div_ceil(MAX_POINTS).max(1);
