@@ -1,4 +1,4 @@
-//! Corrections applied to the masks of every source but the truth.
+//! Corrections for masks of every source except the truth.
 
 use crate::refine::{DEFAULT_NEIGHBORS, scaled_margin_px};
 use crate::{GeometryConfig, MasksError, add_unknown, refine_edges};
@@ -14,13 +14,7 @@ pub struct Completed {
     pub unknown: Option<usize>,
 }
 
-/// Corrects the borders of masks ([`refine_edges`], with the paper's margin at the images' width) and adds missed
-/// objects ([`add_unknown`]), as far as `config` asks for it.
-///
-/// The truth remains unchanged, and masks from geometry gain no objects.
-///
-/// # Errors
-/// As [`refine_edges`] and [`add_unknown`].
+/// s , as far as `config` asks for it. => , as configured.
 pub fn complete(
     labels: Labels,
     sequence: &Sequence,

@@ -23,7 +23,7 @@ impl StageError for MasksError {
 }
 
 impl From<CoreError> for MasksError {
-    /// Keeps bad input recognizable, whichever crate found it.
+    /// Converts input errors of other crates to [`MasksError::Input`].
     fn from(error: CoreError) -> Self {
         match error {
             CoreError::Input(input) => Self::Input(input),

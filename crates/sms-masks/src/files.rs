@@ -1,4 +1,4 @@
-//! Label images that came with the recording.
+//! Label images supplied with the recording.
 
 use crate::names::{file_name, unique};
 use crate::{MasksError, STAGE, Segmenter};
@@ -11,7 +11,7 @@ use sms_frames::{Frame, Sequence};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Images with more values than this are depth images or pictures, not label images.
+/// Images with more values than this are depth or colour images instead of label images.
 const MOST_OBJECTS: usize = 500;
 
 /// Label images: grey PNGs of up to 16 bits, or palette PNGs, with 0 for the background and one value per object.
@@ -145,14 +145,15 @@ fn wrong_size(path: &Path, have: (usize, usize), want: (usize, usize), reference
     )
 }
 
-/// Whether an image can show the same view at another size: equal aspect ratio within the rounding to whole pixels.
+/// Returns whether an image can show the same view at another size: its aspect ratio is equal within the rounding to
+/// whole pixels.
 fn fits(have: (usize, usize), want: (usize, usize)) -> bool {
     let (sx, sy) = (have.0 as f64 / want.0 as f64, have.1 as f64 / want.1 as f64);
     let rounding = 0.5 / want.0 as f64 + 0.5 / want.1 as f64;
     have.0 > 0 && have.1 > 0 && (sx / sy - 1.0).abs() <= rounding
 }
 
-/// Resamples by nearest neighbour with pixel centres at +0.5: target pixel x takes the source pixel at (x +
+/// s target pixel x takes the source pixel at (x + 0.5)·scale. => target pixel x gets the source pixel at (x +
 /// 0.5)·scale.
 pub(crate) fn resample_nearest(image: &LabelMap, (width, height): (usize, usize)) -> LabelMap {
     if image.size() == (width, height) {
@@ -333,7 +334,7 @@ mod tests {
         let counts = |n: usize, text: &str| text.contains(&n.to_string());
         assert!(no_labels.0.ends_with("000000.png") && counts(1199, &no_labels.1), "{no_labels:?}");
 
-        // 192 values in each frame, different ones in every frame; 48 of them survive resampling.
+        // 192 values in each frame, all different between frames; 48 per frame survive resampling.
         for (frames, is_fine) in [(10, true), (11, false)] {
             let numbered = recording(&dir.path().join("numbered"), frames);
             for (i, frame) in numbered.frames.iter().enumerate() {

@@ -1,7 +1,7 @@
 //! Names of objects: unique in a scene and usable as file names.
 
-/// Makes a file name of free text: ASCII letters and digits in lower case, everything else one underscore; never
-/// empty and at most 48 characters.
+/// Converts free text to a file name: ASCII letters and digits in lower case, everything else as single underscores;
+/// never empty and at most 48 characters.
 pub(crate) fn file_name(text: &str) -> String {
     let mut name = String::new();
     for c in text.chars() {
@@ -16,7 +16,7 @@ pub(crate) fn file_name(text: &str) -> String {
     if name.is_empty() { "object".to_owned() } else { name.to_owned() }
 }
 
-/// Names of bodies that every scene may have besides its objects.
+/// Names of bodies that a scene may have besides its objects.
 const RESERVED: [&str; 3] = ["floor", "environment", "world"];
 
 /// Appends `_2`, `_3`, … until the name is neither reserved nor among `taken`.

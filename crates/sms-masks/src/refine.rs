@@ -14,23 +14,23 @@ const DEFAULT_MARGIN_PX: f64 = 5.0;
 /// Number of voting neighbours.
 pub(crate) const DEFAULT_NEIGHBORS: usize = 12;
 
-/// Voters are thinned to one per label and cell of this size, so that near frames do not outvote far ones.
+/// Voters are thinned to one per label and cell of this size, so that close frames do not outvote distant ones.
 const CELL_M: f64 = 0.003;
-/// Weight of a voter within the margin of its own frame, where labels are doubtful. Not 0: all pixels of a thin
-/// object lie within the margin.
+/// Weight of a voter inside the margin of its own frame, where labels are doubtful. It is not 0, because all pixels of
+/// a thin object lie inside the margin.
 const DOUBTFUL_WEIGHT: f32 = 0.1;
 
-/// Scales the paper's 5 pixels at 1280 pixels' width to images `width` wide; at least 1.
+/// Scales the paper's 5 pixels (at a width of 1280) to images `width` wide; at least 1.
 pub(crate) fn scaled_margin_px(width: usize) -> usize {
     (DEFAULT_MARGIN_PX * width as f64 / 1280.0).round().max(1.0) as usize
 }
 
-/// Greatest distance of a voter: beyond it lie flying pixels between two surfaces.
+/// Largest distance of a voter. Farther voters may be flying pixels between two surfaces.
 const REACH_M: f64 = 0.012;
 /// Spread of colour on one surface, 8-bit levels: noise and light.
 const COLOR_SIGMA: f64 = 20.0;
-/// Weight of a voter of another colour than the pixel's, against 1 of one of the same colour. Near silhouettes,
-/// depth often belongs to the other surface while colour is right.
+/// Weight of a voter with a colour unlike the pixel's, relative to 1 for the same colour. Near silhouettes, depth often
+/// belongs to the other surface while colour is right.
 const UNLIKE_WEIGHT: f64 = 0.01;
 
 /// A voter: the mean of the points of one label in one cell.
@@ -44,15 +44,11 @@ struct Voter {
     color: [f32; 3],
 }
 
-/// Relabels every pixel with depth within `margin_px` pixels of a mask edge by a vote of its `k` nearest neighbours
-/// in the cloud back-projected from all frames, each weighted by the inverse of its distance. Pixels within the
-/// margin of their own frame's edges vote with a tenth of the weight. Beyond the paper, voters of the pixel's
-/// colour count more than others, which preserves right masks where depth is wrong at a silhouette.
-///
-/// Pixels without depth keep their label. Labels, names and sizes remain unchanged.
-///
-/// # Errors
-/// [`MasksError::Input`] if labels and sequence differ in frames or sizes, or `k` is 0.
+/// s by a vote of its `k` nearest neighbours in the cloud back-projected from all frames, each weighted by the inverse
+/// of its distance. => by a vote of its `k` nearest neighbours in the cloud back-projected from all frames. A vote has
+/// the inverse of the distance as its weight. Beyond the paper, voters of the pixel's colour count more than others,
+/// which preserves right masks where depth is wrong at a silhouette. => In addition to the paper's method, voters with
+/// the pixel's colour count more than others. This preserves correct masks where depth is wrong at a silhouette.
 pub fn refine_edges(
     labels: &Labels,
     sequence: &Sequence,
@@ -123,7 +119,7 @@ fn margin(map: &LabelMap, margin_px: usize) -> Vec<bool> {
             }
         }
     }
-    // The two pixels on both sides of an edge are its first pixel of margin.
+    // The two pixels on both sides of an edge are the first pixels of the margin.
     let reach = margin_px.saturating_sub(1);
     let across: Vec<bool> = (0..w * h)
         .map(|i| {
@@ -158,8 +154,8 @@ fn voters(frame: &Frame, map: &LabelMap, margin: &[bool]) -> Vec<Voter> {
         .collect()
 }
 
-/// Merges voters to one per cell and label: the weighted mean. The sort is stable, so sums run in the frames'
-/// order.
+/// Merges voters with the same cell and label to their weighted mean. The sort is stable, so sums run in the order of
+/// the frames.
 fn merge(mut all: Vec<Voter>) -> Vec<Voter> {
     all.sort_by_key(|v| (v.key, v.label));
     all.chunk_by(|a, b| (a.key, a.label) == (b.key, b.label))
@@ -205,7 +201,7 @@ mod tests {
         Labels { maps, objects: (1..=count).map(info).collect(), source: MaskSource::Files }
     }
 
-    /// Mean over the objects.
+    /// Returns the mean IoU over the objects.
     fn mean_iou(truth: &[LabelMap], labels: &Labels) -> f64 {
         let count = labels.objects.len();
         (1..=count as u16).map(|v| best_iou(truth, v, labels).0).sum::<f64>() / count as f64
@@ -254,8 +250,8 @@ mod tests {
         assert!(b < 0.75 && a > 0.9, "{b:.3} -> {a:.3}");
     }
 
-    /// The paper's case: five pixels at 1280, with the product's margin. Frames that agree on a wrong border
-    /// outvote the right one, so less is corrected than where they differ.
+    /// The paper's case: five pixels at 1280, with the default margin. Frames that agree on a wrong border outvote the
+    /// right one, so less is corrected than if the frames differ.
     #[test]
     fn of_borders_that_all_frames_have_wrong_four_tenths_are_mended() {
         let solids = table_scene();

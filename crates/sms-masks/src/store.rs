@@ -25,7 +25,7 @@ struct ObjectRow {
     name: String,
     #[serde(default)]
     description: String,
-    /// Name of another object of which this one is a part; the two become one when the labels are read.
+    /// Name of the object that contains this one; the two are merged when labels are read.
     #[serde(default)]
     merge_into: Option<String>,
 }
@@ -54,13 +54,7 @@ pub fn save_labels(dir: &Path, labels: &Labels) -> Result<(), MasksError> {
     Ok(())
 }
 
-/// Reads the files written by [`save_labels`], and applies the user's edits of `labels.json`: names and
-/// descriptions are used as they are, an object with `"merge_into": "other"` becomes part of `other` (chains are
-/// followed) and its id is no longer used.
-///
-/// # Errors
-/// [`MasksError::Input`] naming the file if a name is not unique or unusable, a merge names an unknown object or
-/// runs in a circle, a mask is missing, has another size, or contains a value that `labels.json` does not list.
+/// s or runs in a circle => or is cyclic
 pub fn load_labels(dir: &Path) -> Result<Labels, MasksError> {
     let path = dir.join("labels.json");
     let file: LabelsFile = atomic::read_json(&path)?;
@@ -125,7 +119,7 @@ fn check_and_merge(file: &LabelsFile, path: &Path) -> Result<BTreeMap<u16, u16>,
     let mut targets = BTreeMap::new();
     for row in &file.objects {
         let mut end = row;
-        // A chain without a circle is shorter than the list.
+        // A chain without a cycle is shorter than the list.
         for step in 0.. {
             let Some(name) = &end.merge_into else { break };
             end = match by_name.get(name.as_str()) {
@@ -164,7 +158,7 @@ mod tests {
         }
     }
 
-    /// Saves, edits `labels.json` as text, loads.
+    /// Saves labels, edits `labels.json` as text, and loads them.
     fn edited(edit: impl Fn(String) -> String) -> Result<Labels, MasksError> {
         let dir = tempfile::tempdir().unwrap();
         save_labels(dir.path(), &labels()).unwrap();

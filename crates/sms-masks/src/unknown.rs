@@ -7,19 +7,17 @@ use rayon::prelude::*;
 use sms_core::{BACKGROUND, Cancel, LabelInfo, LabelMap, Labels, Progress};
 use sms_frames::Sequence;
 
-/// Greatest share of a missed object that bears a label, and that lies beside labelled surfaces, or beside a wall.
+/// Largest share of a missed object that may have a label, and that may lie beside labelled surfaces or a wall.
 const EXPLAINED: f64 = 0.1;
-/// Greatest number of frames in which labels are looked up.
+/// Largest number of frames in which labels are looked up.
 const FRAMES: usize = 40;
 
-/// Adds free-standing objects without a label: clusters of [`crate::GeometryMasks`] of which at most a tenth bears
-/// a label, at most a tenth touches labelled surfaces or a wall, and which lie completely within the image in a
-/// fifth of the frames ([`GeometryConfig::min_seen_share`]). They are named `unknown_01`, `unknown_02`, … and take
-/// pixels without a label. Clusters that cannot be told from a labelled object or from the surroundings remain
-/// background, and so static.
+/// Adds unlabelled free-standing objects: clusters of [`crate::GeometryMasks`] with at most a tenth labelled and at
+/// most a tenth beside labelled surfaces or a wall. They must lie completely within the image in a fifth of the frames
+/// ([`GeometryConfig::min_seen_share`]). They are named `unknown_01`, `unknown_02`, … and take only unlabelled pixels.
+/// Clusters that may belong to a labelled object or to the surroundings remain static background.
 ///
-/// # Errors
-/// [`MasksError::Input`] for invalid settings, [`MasksError::Core`] for interruption.
+/// # Errors [`MasksError::Input`] for invalid settings, [`MasksError::Core`] for interruption.
 pub fn add_unknown(
     labels: &Labels,
     sequence: &Sequence,
@@ -89,8 +87,7 @@ pub fn add_unknown(
     Ok(labels)
 }
 
-/// Returns the number of frames in which each cluster (label less 1) is visible and does not reach the image's
-/// border.
+/// Returns the number of frames that show each cluster (label minus 1) away from the image border.
 fn seen_whole(maps: &[LabelMap], clusters: usize) -> Vec<usize> {
     let mut frames = vec![0; clusters];
     for map in maps {
@@ -144,7 +141,7 @@ mod tests {
         for (before, after) in given.maps.iter().zip(&full.maps) {
             assert!(before.data.iter().zip(&after.data).all(|(b, a)| *b == BACKGROUND || a == b));
         }
-        // With all of them labelled, nothing is added.
+        // If all objects are labelled, nothing is added.
         let all = some_labels(&truth, &[1, 2, 3, 4, 5]);
         assert_eq!(add_unknown(&all, &sequence, &config, &NoProgress, &Cancel::new()).unwrap(), all);
     }
@@ -168,7 +165,7 @@ mod tests {
             add_unknown(&none, &sequence, &config, &NoProgress, &Cancel::new()).unwrap().objects.len()
         };
         assert_eq!(unknown(&[wall, thing(0.0)], 320), 1);
-        // A board against the wall.
+        // A board that leans against the wall.
         let board = Solid::Box(DVec3::new(-0.237, 0.0, 0.04), DVec3::new(0.01, 0.05, 0.04), 0.0);
         assert_eq!(unknown(&[wall, board], 320), 0);
         assert_eq!(unknown(&[thing(0.0)], 320), 1);

@@ -1,8 +1,8 @@
-//! A sparse grid: integer keys of cells, and walks over the neighbours of sorted cells.
+//! Sparse grid: integer keys of cells, and walks over the neighbours of sorted cells.
 
 use glamx::DVec3;
 
-/// Greatest index of a cell along each axis, on both sides of the origin.
+/// Largest index of a cell along each axis, on both sides of the origin.
 const HALF: i64 = 1 << 20;
 
 /// Returns the key of the cell of size `cell_m` that contains a point, or `None` for points that are not finite or
@@ -17,8 +17,8 @@ fn pack([x, y, z]: [i64; 3]) -> u64 {
     ((z + HALF) as u64) << 42 | ((y + HALF) as u64) << 21 | (x + HALF) as u64
 }
 
-/// A walk over the cells around each cell of a sorted list, row by row of the grid: in a list sorted by key, the
-/// cells of a row near cell `i` come after those near cell `i - 1`.
+/// A walk over the cells around each cell of a sorted list, row by row of the grid. In a list sorted by key, the row
+/// cells near cell `i` come after those near cell `i - 1`.
 #[derive(Debug)]
 pub(crate) struct RowWalk<'a> {
     keys: &'a [u64],
@@ -28,8 +28,8 @@ pub(crate) struct RowWalk<'a> {
 }
 
 impl<'a> RowWalk<'a> {
-    /// A walk that starts at position `first`; visits all cells that can contain a point within `radius_cells` (at
-    /// most 60) of a point of the central cell, which is included.
+    /// Starts a walk at position `first`. It visits all cells that can contain a point within `radius_cells` (at most
+    /// 60) of a point of the central cell, which is included.
     pub(crate) fn new(keys: &'a [u64], radius_cells: f64, first: usize) -> Self {
         let r = radius_cells.ceil() as i64;
         let gap2 = |d: i64| ((d.abs() - 1).max(0) as f64).powi(2);

@@ -1,4 +1,4 @@
-//! Free-standing assemblies larger than an object: furniture, containers, and the things stacked on them.
+//! Free-standing assemblies larger than an object: furniture, containers, and objects stacked on them.
 
 use super::GeometryConfig;
 use super::extents::{extents, is_ragged, quantile};
@@ -10,29 +10,30 @@ use glamx::{DVec2, DVec3};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-/// Least thickness, of the largest object's length: thinner pieces are walls or lips, though they may stand free.
+/// Smallest thickness as a share of the largest object length. Thinner pieces are walls or lips, even if free-standing.
 const THICK: f64 = 0.25;
-/// Greatest length of an assembly, of one structure's: a board juts out from a stool.
+/// Largest length of an assembly as a multiple of the largest structure: a board may jut out from a stool.
 pub(crate) const OVER: f64 = 1.5;
-/// Least height of an assembly, or least share of it that was classified as static. Anything less is a group of
-/// objects on a table that hardly touch; other rules separate them.
+/// Smallest height of an assembly, or smallest share of it that was classified as static. Lower assemblies are groups
+/// of objects on a table that hardly touch; other rules separate them.
 const HIGH_M: f64 = 0.35;
 const FACES: f64 = 0.05;
-/// Greatest height of the lowest cells over the ground.
+/// Largest height of the lowest cells above the ground.
 pub(crate) const FOOT_M: f64 = 0.04;
-/// Upright surface faces away from the middle by at least this (mean cosine); the walls of a bin or a shelf face inwards.
+/// Upright surface must face away from the centre by at least this (mean cosine); walls of a bin or a shelf face
+/// inwards.
 const OUTWARD: f64 = 0.1;
-/// Length of the mean of the horizontal parts of upright normals, relative to their mean length: 0 for a piece
-/// visible from all around, 1 for a single side.
+/// Length of the mean horizontal part of upright normals, relative to their mean length: 0 for a piece visible from all
+/// around, 1 for a single side.
 const ONE_SIDED: f64 = 0.5;
-/// Greatest share of an assembly that lies beside large planes outside of it, the ground included.
+/// Largest share of an assembly that may lie beside large planes outside it, including the ground.
 const TOUCHING: f64 = 0.05;
 
-/// Returns the connected pieces of the cells off the ground that stand free as a whole, as sorted cells.
+/// Returns connected pieces of cells above the ground that are free-standing as a whole, as sorted cells.
 ///
-/// `heights` are the cells' heights over the ground (not finite where there is none), `is_ground` marks the cells
-/// of the ground, `is_static` those of other large planes. Faces of the returned pieces are not static, however
-/// large.
+/// `heights` are the cells' heights above the ground (not finite if there is no ground), `is_ground` marks cells of the
+/// ground, and `is_static` cells of other large planes. Faces of the returned pieces are not static, regardless of
+/// their size.
 pub(crate) fn free_standing(
     coarse: &[Surfel],
     graph: &Neighbors,
@@ -87,52 +88,52 @@ fn stands_free(
 
 /// Accuracy of the height of a contact.
 const LEVEL_M: f64 = 0.02;
-/// Contrast of surfaces that face the same way, in spreads, from which two segments are never one body; and from
-/// which a flush seam separates two bodies.
+/// Colour contrasts between surfaces that face the same way, in spreads: above the first, two segments are never one
+/// body; above the second, a flush seam separates two bodies.
 const OTHER_COLOR: f64 = 2.0;
 const FLUSH_COLOR: f64 = 2.4;
-/// Share of a border that bends inwards below which it is smooth or an edge of one thing.
+/// If the share of a border that bends inwards is below this, the border is smooth or an edge of one object.
 const BENT: f64 = 0.25;
-/// Height of a level seam, relative to its length.
+/// Largest height of a level seam, relative to its length.
 const LEVEL: f64 = 0.2;
-/// Sectors along or around a contact, and the share of them that its visible seam reaches: four legs reach few.
+/// Sectors along or around a contact, and the share of them that its visible seam must reach. Four legs reach few.
 const SECTORS: usize = 24;
 const RUNNING: f64 = 0.5;
-/// … or, between two colours, this share without a gap: one side of a board, where shade hides the others.
+/// Share without a gap that is enough between two colours: one side of a board, if shade hides the others.
 const SIDE: f64 = 0.25;
 /// A seam narrower than this share of its length runs along a line.
 const LINE: f64 = 0.2;
-/// A segment with less than this share of the extent of the one above it is a foot of it.
+/// A segment with less than this share of the extent of the segment above is a foot of that segment.
 const FOOT: f64 = 0.15;
-/// A surface bounds a level face if it rises above it by this; noise and rounded edges do not.
+/// A surface bounds a level face if it rises at least this far above the face; noise and rounded edges rise less.
 const SUNK_M: f64 = 0.006;
-/// … if it does so within this distance of the face, metres, over this share of the way around it: a ridge on one
-/// side does not.
+/// It must do so within this distance of the face, metres, over this share of the way around the face; a ridge on one
+/// side is not enough.
 const RIM_M: f64 = 0.03;
 const BOUNDED: f64 = 0.75;
-/// A floating segment belongs to the nearest other segment, at most this far away.
+/// A floating segment belongs to the nearest other segment up to this distance.
 const HANGS_M: f64 = 0.1;
 
-/// How two segments meet.
+/// Relation between two touching segments.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Seam {
     /// The first stands on the second.
     On,
     /// The second stands on the first.
     Under,
-    /// Both are one body. The greater the value, the more certain.
+    /// Both are one body. A larger value is more certain.
     One(f64),
     /// Two bodies side by side, if each stands by itself.
     Beside,
 }
 
-/// Merges the segments of an assembly into its bodies. `members` are all its surfels, `smallest` the number of
+/// Merges the segments of an assembly into its bodies. `members` are all its surfels, `smallest` is the number of
 /// surfels of the smallest object, `cell_m2` the area of a surfel.
 ///
-/// Free-standing assemblies are stacks: bodies meet where one stands on another, in a level seam around the contact
-/// with one body above it and the other below. No body floats: a segment that neither reaches the ground nor stands
-/// on another belongs to the segment it touches, whatever its colour. A strip too ragged for an object belongs to
-/// the segment below it.
+/// Free-standing assemblies are stacks. Bodies meet where one stands on another: in a level seam around the contact,
+/// with one body above and the other below. No body floats: a segment that neither reaches the ground nor stands on
+/// another one belongs to the segment it touches, regardless of colour. A strip that is too ragged for an object
+/// belongs to the segment below.
 pub(crate) fn merge_bodies(
     s: &mut Segments,
     surfels: &[Surfel],
@@ -154,7 +155,7 @@ pub(crate) fn merge_bodies(
             Seam::One(sure) => Some((*sure, pair)),
             _ => None,
         });
-        // The first of equals.
+        // The first of equal candidates.
         let surest = surest.fold(
             None,
             |best: Option<(f64, (usize, usize))>, x| {
@@ -171,7 +172,7 @@ pub(crate) fn merge_bodies(
 
 /// The bodies of an assembly during merging.
 struct Bodies<'a> {
-    /// The segment of each surfel.
+    /// Segment of each surfel.
     owner: Vec<usize>,
     surfels: &'a [Surfel],
     graph: &'a Neighbors,
@@ -186,12 +187,12 @@ impl Bodies<'_> {
         s.merge(a, b);
     }
 
-    /// Height below which a share of a segment lies.
+    /// Returns the height below which `share` of a segment lies.
     fn height(&self, s: &Segments, a: usize, share: f64) -> f64 {
         quantile(s.members(a).iter().map(|&i| self.surfels[i].p_w.z), share)
     }
 
-    /// Merges crumbs (surfels of faces seen at grazing angles) into the segment with most surfels near them.
+    /// Merges crumbs (surfels of faces seen at grazing angles) into the segment with the most surfels near them.
     fn attach_crumbs(&mut self, s: &mut Segments, smallest: usize) {
         for _ in 0..4 {
             let mut joins = Vec::new();
@@ -219,7 +220,7 @@ impl Bodies<'_> {
         }
     }
 
-    /// Classifies the seam between each pair of neighbours, the lesser index first.
+    /// Classifies the seam between each pair of neighbours, with the smaller index first.
     fn seams(&self, s: &Segments, smallest: usize) -> BTreeMap<(usize, usize), Seam> {
         let mut seams = BTreeMap::new();
         for a in s.left().into_iter().filter(|&a| s.size(a) >= smallest) {
@@ -240,8 +241,7 @@ impl Bodies<'_> {
         let contrast = s.shared_contrast(a, b);
         let bent = border.crease / border.pairs;
         let one = Seam::One(1.0 / (1.0 + contrast.unwrap_or(1.0)));
-        // The side from which a face is visible is empty: a face that looks down is the underside of the segment
-        // above it.
+        // A face is visible from an empty side. So a face that looks down is the underside of the segment above it.
         let rests = |sheet: usize, other: usize| {
             self.is_underside(s, sheet) && below(other) && !self.is_underside(s, other)
         };
@@ -284,8 +284,8 @@ impl Bodies<'_> {
         }
     }
 
-    /// Whether a segment is the rim or the seat of the segment below it: low, of the same hue, and right below a
-    /// level seam, so that the load on it hides all but its sides, and shades them.
+    /// Returns whether a segment is the rim or the seat of the segment below: it is low, has the same hue, and lies
+    /// right below a level seam. The load on it hides everything except its sides, and shades them.
     fn is_rim(&self, s: &Segments, rim: usize, lower: usize) -> bool {
         let [bottom, top] = [0.05, 0.95].map(|share| self.height(s, rim, share));
         let is_under = |seam: &LevelSeam| {
@@ -297,8 +297,9 @@ impl Bodies<'_> {
             && hue_contrast(self.surfels, s.members(rim), s.members(lower)) < OTHER_HUE
     }
 
-    /// Whether a level face that looks up is the bottom of a hollow, or a lid within its rim: the surface around it
-    /// rises above it and has its hue. A body that stands on another is nowhere below the other's top.
+    /// Returns whether a level face that looks up is the bottom of a hollow, or a lid within its rim. The surface
+    /// around such a face rises above it and has its hue. A body that stands on another one is nowhere below the top of
+    /// the lower one.
     fn is_sunk(&self, s: &Segments, face: usize, around: usize) -> bool {
         if s.facing(face).z < 0.7
             || s.spread(face).height() > LEVEL_M
@@ -325,12 +326,12 @@ impl Bodies<'_> {
         bounded.iter().filter(|b| **b).count() as f64 >= BOUNDED * SECTORS as f64
     }
 
-    /// Whether a segment is a level face that looks down.
+    /// Returns whether a segment is a level face that looks down.
     fn is_underside(&self, s: &Segments, a: usize) -> bool {
         s.facing(a).z < -0.7 && s.spread(a).height() < LEVEL_M
     }
 
-    /// Returns the share of the sectors along or around a border that it reaches, and the largest share it reaches
+    /// Returns the share of the sectors along or around a contact that contain its border, and the largest share
     /// without a gap.
     fn running(&self, s: &Segments, a: usize, b: usize, border: &Border) -> [f64; 2] {
         let (small, other) = if s.size(a) < s.size(b) { (a, b) } else { (b, a) };
@@ -367,8 +368,8 @@ impl Bodies<'_> {
         [reached.iter().filter(|r| **r).count(), longest].map(|n| n as f64 / SECTORS as f64)
     }
 
-    /// Finds a strip too ragged for an object: the rim of a bin or the sides of a seat, in the shade of its load.
-    /// It belongs to the segment it stands on, else to the one of most similar colour among those it touches.
+    /// Finds a strip that is too ragged for an object: the rim of a bin or the sides of a seat, in the shade of its
+    /// load. The strip belongs to the segment it stands on, or else to the touching segment of the most similar colour.
     fn ragged(
         &self,
         s: &Segments,
@@ -395,7 +396,7 @@ impl Bodies<'_> {
         })
     }
 
-    /// Finds the lowest floating segment and the segment it belongs to.
+    /// Finds the lowest floating segment and the segment to which it belongs.
     fn floating(
         &self,
         s: &Segments,
@@ -435,7 +436,7 @@ impl Bodies<'_> {
                         let others = s.members(b).iter().map(|&j| self.surfels[j].p_w.distance_squared(*p));
                         others.fold(f64::INFINITY, f64::min)
                     };
-                    // Not the nearest pair of points, which noise decides, but the 10th percentile.
+                    // The 10th percentile is robust to noise, unlike the nearest pair of points.
                     let mut distances: Vec<f64> = own.iter().map(to).collect();
                     distances.sort_by(f64::total_cmp);
                     (distances[distances.len() / 10].sqrt(), b)
@@ -448,8 +449,8 @@ impl Bodies<'_> {
         None
     }
 
-    /// Finds a post that touches no segment it could carry, and the lowest segment over its end, of which it is a
-    /// leg.
+    /// Finds a post that touches no segment it could carry, and the lowest segment above its end. The post is a leg of
+    /// that segment.
     fn hidden_leg(
         &self,
         s: &Segments,

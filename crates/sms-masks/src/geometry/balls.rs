@@ -1,5 +1,5 @@
-//! Detection of balls in connected pieces. A ball touches in a point, but noise fills the gap around it, and
-//! patches of a few surfels merge across: only the whole shows that it is round.
+//! Detection of balls in connected pieces. A ball touches its neighbours at a point, but noise fills the gap around the
+//! point, and patches of a few surfels merge across it. Only the ball as a whole is recognizably round.
 
 use super::fuse::{Neighbors, Surfel};
 use glamx::{DMat3, DVec3};
@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use sms_core::{Cancel, CoreError, even_directions};
 use std::collections::{BTreeSet, HashSet};
 
-/// A ball, by the surfels that show it.
+/// A detected ball.
 #[derive(Debug, Clone)]
 pub(crate) struct Ball {
     /// Its surfels, sorted.
@@ -23,20 +23,19 @@ pub(crate) struct Sphere {
     pub(crate) radius_m: f64,
 }
 
-/// Radii of the search. A ball needs three cells to show in enough of them; round things larger than balls for
-/// games are furniture.
+/// Radii of the search. A smaller ball covers too few cells; round objects larger than balls for games are furniture.
 const RADII_M: std::ops::Range<f64> = 0.012..0.13;
-/// Every `STRIDE`-th surfel starts a search, fewer in large pieces: there are at most `SEARCHES`.
+/// Every `STRIDE`-th surfel starts a search, but at most `SEARCHES` per piece.
 const STRIDE: usize = 29;
 const SEARCHES: usize = 1000;
-/// Searches run at once; at most this many are wasted for each ball found.
+/// Number of searches that run at once; at most this many are wasted for each ball found.
 const BATCH: usize = 64;
-/// Least visible share of a ball's surface: balls of 3 cm on a table and against a mug show 0.86 to 0.97, a band
-/// around a cup or a rod 0.44 to 0.72.
+/// Smallest visible share of a ball's surface. Balls of 3 cm on a table and against a mug show 0.86 to 0.97; a band
+/// around a cup or a rod shows 0.44 to 0.72.
 const COVERED: f64 = 0.75;
-/// Greatest root mean square distance of the surfels from the sphere: a share of the radius, plus noise. Balls of 3
-/// cm have 1 % of the radius alone on a table and 2 % against a mug; round heads and bellies of toys, of 4 cm and
-/// more, have at least 2.8 %, bands 4 %.
+/// Largest root mean square distance of the surfels from the sphere: this share of the radius, plus noise. Balls of 3
+/// cm have 1 % of the radius alone on a table and 2 % against a mug. Round heads and bellies of toys, of 4 cm and more,
+/// have at least 2.8 %; bands have 4 %.
 const UNROUND: f64 = 0.015;
 const NOISE_M: f64 = 3e-4;
 /// Directions for measuring the visible share of the surface.
@@ -75,18 +74,18 @@ impl Sphere {
         RADII_M.contains(&radius_m).then(|| Self { center_w: mean + c, radius_m })
     }
 
-    /// Distance of a point from its surface, negative inside.
+    /// Returns the distance of a point from the surface, negative inside.
     fn height(&self, p_w: DVec3) -> f64 {
         p_w.distance(self.center_w) - self.radius_m
     }
 
-    /// Whether a surfel lies within a distance of the surface and faces as the surface does there.
+    /// Returns whether a surfel lies within a distance of the surface and faces outwards.
     fn shows(&self, s: &Surfel, within_m: f64, aligned: f64) -> bool {
         self.height(s.p_w).abs() < within_m
             && (s.p_w - self.center_w).normalize_or_zero().dot(s.n_w) > aligned
     }
 
-    /// Returns the connected surfels around some that lie on the sphere.
+    /// Returns surfels on the sphere that are connected to the given ones.
     fn flood(
         &self,
         surfels: &[Surfel],
@@ -110,14 +109,14 @@ impl Sphere {
         found
     }
 
-    /// Whether the surfels on it are round within noise and cover enough of its surface.
+    /// Returns whether the surfels are round within noise and cover enough of the sphere.
     fn is_ball(&self, surfels: &[Surfel], on_it: &[usize], directions: &[DVec3]) -> bool {
         let square: f64 = on_it.iter().map(|&i| self.height(surfels[i].p_w).powi(2)).sum();
         let rms_m = (square / on_it.len() as f64).sqrt();
         rms_m <= NOISE_M + UNROUND * self.radius_m && self.covered(surfels, on_it, directions) >= COVERED
     }
 
-    /// The share of directions in which there is one of the surfels.
+    /// Returns the share of directions that contain one of the surfels.
     fn covered(&self, surfels: &[Surfel], of: &[usize], directions: &[DVec3]) -> f64 {
         let mut seen = vec![false; directions.len()];
         for &i in of {
@@ -130,14 +129,13 @@ impl Sphere {
     }
 }
 
-/// Returns the balls among the surfels of a connected piece (sorted), disjoint, in the order of their first
-/// surfels.
+/// Returns the balls among the surfels of a connected piece (sorted). Balls are disjoint and in the order of their
+/// first surfels.
 ///
 /// From every [`STRIDE`]-th surfel, a sphere is fitted to two rings of neighbours, then four times to all connected
-/// surfels on it. A fit that is round within noise and shows [`COVERED`] of its surface is a ball.
+/// surfels on the sphere. A fit that is round within noise and shows [`COVERED`] of its surface is a ball.
 ///
-/// # Errors
-/// [`CoreError::Interrupted`] once a stop was requested.
+/// # Errors [`CoreError::Interrupted`] once a stop was requested.
 pub(crate) fn balls(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -160,15 +158,15 @@ pub(crate) fn balls(
             let (sphere, on_it) = grown(surfels, graph, seed, voxel_m, free)?;
             sphere.is_ball(surfels, &on_it, &directions).then_some((at, sphere))
         };
-        // A search depends on earlier balls only: of a batch, the first search that finds one counts, and those
-        // after it are repeated.
+        // A search depends only on earlier balls. In a batch, the first search that finds a ball counts, and later
+        // searches are repeated.
         let batch = &seeds[next..seeds.len().min(next + BATCH)];
         let Some((at, sphere)) = batch.par_iter().enumerate().find_map_first(search) else {
             next += batch.len();
             continue;
         };
         next += at + 1;
-        // Surfels right under the surface belong to the ball, whichever way noise turns their normals.
+        // Surfels right under the surface belong to the ball, even if noise turns their normals.
         let is_member = |&i: &usize| {
             let s = &surfels[i];
             let under = (-2.0 * voxel_m..0.0).contains(&sphere.height(s.p_w));
@@ -184,7 +182,7 @@ pub(crate) fn balls(
     Ok(balls)
 }
 
-/// Fits a sphere around a surfel, and returns it with the surfels on it.
+/// Fits a sphere around a surfel. Returns the sphere and the surfels on it.
 fn grown(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -202,7 +200,7 @@ fn grown(
     for share in [0.3, 0.2, 0.12, 0.1] {
         let within_m = (share * sphere.radius_m).max(0.6 * voxel_m);
         on_it = sphere.flood(surfels, graph, &on_it, within_m, &free);
-        // With less than a third of the surface it cannot become a ball.
+        // A sphere with less than a third of its surface cannot become a ball.
         if 3.0 * on_it.len() as f64 * voxel_m.powi(2) < 2.0 * std::f64::consts::PI * sphere.radius_m.powi(2) {
             return None;
         }
@@ -217,7 +215,7 @@ mod tests {
     use super::*;
     use crate::fixture::{Sensor, Solid, scene};
 
-    /// The balls of a scene, without the table's surface.
+    /// Returns the balls of a scene without the table.
     fn found(solids: &[Solid], sensor: Sensor) -> Vec<Sphere> {
         let config = GeometryConfig::default();
         let (sequence, _) = scene(solids, sensor, 3);
@@ -236,7 +234,7 @@ mod tests {
 
     #[test]
     fn balls_are_found_where_they_are_and_nothing_else() {
-        // Two that touch, one against a cup, a small and a large one; a rod with round sides, a box, a cup.
+        // Two touching balls, one against a cup, a small and a large one; a rod with round sides, a box, a cup.
         let (cup, against) = (0.045, 0.0286);
         let solids = [
             ball(-0.15, 0.0, 0.0286),
@@ -278,7 +276,7 @@ mod tests {
 
     #[test]
     fn a_dome_is_no_ball() {
-        // Half of a sphere shows 0.5 of it.
+        // A half sphere shows 0.5 of the surface.
         assert!(found(&[Solid::Sphere(DVec3::ZERO, 0.05)], Sensor::default()).is_empty());
     }
 
@@ -300,7 +298,7 @@ mod tests {
             let fit = fit.unwrap();
             assert!(fit.center_w.distance(center_w) < 1e-9 && (fit.radius_m - radius_m).abs() < 1e-9);
         }
-        // From inside, the same points are not a ball.
+        // The same points seen from inside are not a ball.
         let inside: Vec<Surfel> = surfels.iter().map(|s| Surfel { n_w: -s.n_w, ..*s }).collect();
         assert!(Sphere::from_normals(&inside, &of).is_none());
     }

@@ -1,4 +1,4 @@
-//! Clustering of the surfels that are not static into objects.
+//! Clustering of non-static surfels into objects.
 
 use super::GeometryConfig;
 use super::assembly::{FOOT_M, OVER, merge_bodies};
@@ -35,7 +35,7 @@ pub(crate) fn clusters(
     for (i, assembly) in assembly_of.iter().enumerate().filter(|(i, _)| !is_static[*i]) {
         assembly.iter().for_each(|&k| assemblies[k].push(i));
     }
-    // The lowest parts of an assembly were taken for noise of the ground.
+    // The lowest parts of assemblies were classified as noise of the ground.
     let mut feet = Vec::new();
     let pieces = pieces.into_iter().filter(|piece| {
         let z = |share| quantile(piece.iter().map(|&i| surfels[i].p_w.z), share);
@@ -92,12 +92,12 @@ pub(crate) fn bodies(
 /// A piece longer than an object stands free if at most this share of it lies beside static surfaces.
 const TOUCHING: f64 = 0.1;
 
-/// A piece with less surface than this (m²), a cube of 13 mm, must be visible in this larger share of the frames:
-/// noise and rims of other things seldom repeat in one place.
+/// A piece with less surface than this (m²), a cube of 13 mm, must be visible in this larger share of the frames: noise
+/// and rims of other objects seldom repeat in one place.
 const SMALL_M2: f64 = 9e-4;
 const SMALL_SEEN: f64 = 0.5;
 
-/// Whether a piece has the size of an object, stands out from the planes around it, and is seen often enough.
+/// Returns whether a piece has the size of an object, stands out from the planes around it, and is seen often enough.
 fn is_plausible(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -125,7 +125,7 @@ fn is_plausible(
             return false;
         }
     }
-    // Not the ragged rim or the skin of a plane: of the heights over each plane, the 90th percentile counts.
+    // The 90th percentile of the heights over each plane counts, which excludes ragged rims and the skin of a plane.
     let stands_out = planes.iter().all(|plane| {
         let mut heights: Vec<f64> = object.iter().map(|&i| plane.height(surfels[i].p_w).abs()).collect();
         let at = heights.len() * 9 / 10;
@@ -143,17 +143,18 @@ fn is_plausible(
         }
         visible * 10 >= all
     });
-    // The less there is of it, the more frames must show it.
+    // Smaller pieces must be visible in more frames.
     let share = if area < SMALL_M2 { config.min_seen_share.max(SMALL_SEEN) } else { config.min_seen_share };
     stands_out && seen.count() as f64 >= (share * sequence.len() as f64).max(1.0)
 }
 
-/// Splits a connected piece where two convex things meet.
+/// Splits a connected piece where two convex objects meet.
 ///
-/// After locally convex connected patches (Stein et al., "Object partitioning using local convexity", CVPR 2014), with
-/// borders judged as a whole: patches merge in the order of how little their border bends inwards (and their colours
-/// differ), until every border is a crease. Segments too small to be objects join the neighbour with which they share
-/// the longest border. Not every crease separates: see [`are_distinct`]. Level `seams` always do, and `balls` are never cut.
+/// The method follows locally convex connected patches (Stein et al., "Object partitioning using local convexity", CVPR
+/// 2014), with borders judged as a whole. Patches merge first where their border bends inwards least (and their colours
+/// differ least), until every border is a crease. Segments too small to be objects join the neighbour with the longest
+/// common border. Not every crease separates: see [`are_distinct`]. Level `seams` always separate, and `balls` are
+/// never cut.
 fn split(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -167,15 +168,15 @@ fn split(
         Segments::patches(surfels, graph, piece, 3.0 * voxel, 1.6 * voxel, config.crease_rad, seams, balls);
     let smallest = (DETAIL_M2 / voxel.powi(2)) as usize;
     let length = extents(surfels, piece)[2];
-    // An object's own parts may be connected by little, too: only in clutter is a thread noise between objects.
+    // Parts of one object may also be connected by a thread. Only in clutter is a thread noise between objects.
     let is_thread = |s: &Segments, a: usize, b: usize, border: &Border| {
         length > config.clutter_m
             && s.size(a).min(s.size(b)) >= smallest
             && s.width(a, b, border) < THREAD
             && neck(s, a, b, border) < THREAD_NECK
     };
-    // Greedy merging leaks through a border here and there. It runs twice, led by colour and by shape; a border
-    // kept by either run stays.
+    // Greedy merging sometimes leaks through a border. It runs twice, led by colour and by shape; a border that either
+    // run keeps is kept.
     let [by_color, by_shape] = LIGHTS.map(|light| {
         let mut merged = segments.clone();
         merged.merge_convex(config.crease_share, light, is_thread);
@@ -198,26 +199,27 @@ fn split(
     segments
 }
 
-/// Levels by which light alone may change the colours of neighbouring patches, when colour leads and when shape does.
+/// Change of colour between neighbouring patches that light alone may cause, in levels: when colour leads and when
+/// shape leads.
 const LIGHTS: [f64; 2] = [15.0, 60.0];
 
-/// Large segments whose border is narrower than this ([`Segments::width`]), and hardly wider than the smaller of
-/// them (in its widths), are connected by a thread: noise in a narrow gap. The legs of a stool join over several of
-/// their widths.
+/// Large segments are connected by a thread (noise in a narrow gap) if their border is narrower than this
+/// ([`Segments::width`]) and hardly wider than the smaller segment. The legs of a stool join over several of their
+/// widths.
 const THREAD: f64 = 12.0;
 const THREAD_NECK: f64 = 1.2;
 
-/// A segment with less surface than this (m²) is a detail of its neighbours, whatever its colour.
+/// A segment with less surface than this (m²) is a detail of its neighbours, regardless of colour.
 const DETAIL_M2: f64 = 2.5e-3;
 
-/// Width of a border in widths of the smaller segment: below 1, they touch in less than their cross-section.
+/// Width of a border in widths of the smaller segment. Below 1, the contact is narrower than the cross-section.
 fn neck(s: &Segments, a: usize, b: usize, border: &Border) -> f64 {
     let smaller = if s.size(a) < s.size(b) { a } else { b };
     border.spread.extents()[2] / s.spread(smaller).extents()[1].max(1e-6)
 }
 
-/// Whether segment `a` is the bottom of a hollow with walls `b`: flat, with a border all around it, beyond which
-/// `b` rises on the side that `a` faces.
+/// Returns whether segment `a` is the bottom of a hollow with walls `b`: it is flat, `b` surrounds it, and `b` rises on
+/// the side that `a` faces.
 fn is_inside(s: &Segments, a: usize, b: usize, border: &Border) -> bool {
     let (own, ring) = (s.spread(a).extents(), border.spread.extents());
     let rises = (s.spread(b).center() - s.spread(a).center()).dot(s.facing(a).normalize_or_zero());
@@ -228,12 +230,11 @@ fn is_inside(s: &Segments, a: usize, b: usize, border: &Border) -> bool {
         && rises > 2.0 * own[0].max(0.005)
 }
 
-/// Whether two segments with a crease between them are two objects.
+/// Returns whether two segments with a crease between them are two objects.
 ///
-/// Evidence is a colour difference across the crease, or a border narrower than either side. In a piece of an
-/// object's size (a toy's head, a bottle's cap) the crease must be sharp, and neither side a mere detail; larger
-/// pieces need less evidence, and in pieces larger than most objects a level crease separates an object from its
-/// support.
+/// Evidence is a colour difference across the crease, or a border narrower than either side. In a piece of an object's
+/// size (with a toy's head or a bottle's cap) the crease must be sharp, and neither side a mere detail. Larger pieces
+/// need less evidence, and in pieces larger than most objects a level crease separates an object from its support.
 fn are_distinct(
     s: &Segments,
     a: usize,
@@ -251,7 +252,7 @@ fn are_distinct(
     }
     let sharp = border.crease > 0.5 * border.pairs;
     let neck = neck(s, a, b, border);
-    // A round head of its body's colour is not a ball.
+    // A round head with the colour of its body is not a ball.
     if border.is_round() && (contrast > 1.0 || neck < 0.6) {
         return true;
     }
@@ -273,22 +274,22 @@ fn are_distinct(
     narrow || (sharp && least && contrast > 1.5)
 }
 
-/// Merges posts into the objects they carry. The underside of a table hides where its legs meet it: a slender,
-/// upright object with something over its axis belongs to the object around its upper end, if that has other posts
-/// or reaches the ground itself. If its upper end is hidden, it belongs to the lowest object over it, unless
-/// cameras look through the gap (`is_open`).
+/// Merges posts into the objects they carry. The underside of a table hides the upper ends of its legs. A slender,
+/// upright object with something above its axis belongs to the object around its upper end, if that object has other
+/// posts or reaches the ground. If the upper end is hidden, the post belongs to the lowest object above it, unless
+/// cameras see through the gap (`is_open`).
 pub(crate) fn join_legs(
     surfels: &[Surfel],
     objects: Vec<Vec<usize>>,
     is_open: impl Fn(DVec3) -> bool,
 ) -> Vec<Vec<usize>> {
-    /// Greatest distance between a post's top and the rim of its load, beyond half of the post's width.
+    /// Largest distance between a post's top and the rim of its load, in addition to half of the post's width.
     const INSET_M: f64 = 0.035;
-    /// Greatest thickness of a post's load.
+    /// Largest thickness of a post's load.
     const TOP_M: f64 = 0.06;
-    /// Greatest height of an object over a post: a load on the top hides the top.
+    /// Largest height of an object over a post: a load on the table top hides the top.
     const OVER_M: f64 = 0.3;
-    /// Within this distance, a post ends at the object over it.
+    /// A post ends at the object above if the gap is smaller than this.
     const CLOSE_M: f64 = 0.03;
     let mut carried_by: Vec<Option<usize>> = vec![None; objects.len()];
     let lowest: Vec<f64> =
@@ -307,7 +308,7 @@ pub(crate) fn join_legs(
                 covered |= aside < f64::max(0.5 * width, 0.01) && over > 0.0 && over < OVER_M;
                 around += usize::from(aside < 0.5 * width + INSET_M && over > -0.02 && over < TOP_M);
             }
-            // The first of equals; it is not a post of the same object, since posts are slender.
+            // The first of equal candidates. It is not a post of the same object, since posts are slender.
             if around >= 5 && other.len() > members.len() && best.is_none_or(|(most, _)| around > most) {
                 best = Some((around, b));
             }

@@ -7,42 +7,41 @@ use sms_core::{InputError, Ranges, Seed};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GeometryConfig {
-    /// Size of a cell of the fused cloud. About a pixel's footprint: finer cells hold too few samples to average.
+    /// Cell size of the fused cloud, about a pixel's footprint. Finer cells hold too few samples to average.
     pub voxel_m: f64,
-    /// Greatest number of fused frames, evenly spread; labels are made for all frames.
+    /// Largest number of fused frames, evenly spread; all frames get labels.
     pub max_fused_frames: usize,
-    /// Depth beyond this is not used: noise grows with the square of depth.
+    /// Largest depth that is used: noise grows with the square of depth.
     pub max_depth_m: f64,
-    /// The same as a multiple of the median depth in the middle of the images.
+    /// Largest depth as a multiple of the median depth in the middle of the images.
     pub depth_spread: f64,
-    /// Planar pieces longer than this, and pieces of any shape longer than this, are not objects.
+    /// Largest length of an object. Longer pieces, planar or not, are not objects.
     pub max_object_m: f64,
-    /// Greatest length of free-standing furniture (stools, planks, low tables): the surroundings are visible past most of
-    /// the rim of its planar pieces, and it touches few static surfaces.
+    /// Largest length of free-standing furniture (stools, planks, low tables). The surroundings are visible beyond most
+    /// of the rim of its planar pieces, and it touches few static surfaces.
     pub max_structure_m: f64,
-    /// Planar pieces with more area than this (m²) are not faces of an object; the side of a large cereal box has
-    /// 0.057.
+    /// Largest area of an object's face (m²). The side of a large cereal box has 0.057.
     pub max_face_m2: f64,
-    /// Least length of an object, which stands out at least half as much from the planes around it.
+    /// Smallest length of an object. An object must also stand out by at least half as much from the planes around it.
     pub min_object_m: f64,
-    /// Least visible surface of an object (m²).
+    /// Smallest visible surface of an object (m²).
     pub min_area_m2: f64,
-    /// Two surfaces nearer than this are connected; normals are taken from this neighbourhood.
+    /// Surfaces closer than this are connected. Also the neighbourhood for normals.
     pub gap_m: f64,
     /// Neighbouring patches that bend inwards by more than this (radians) form a crease; a piece is split along
     /// creases.
     pub crease_rad: f64,
-    /// Share of a border that bends inwards from which it is a crease.
+    /// Smallest share of a border that must bend inwards to form a crease.
     pub crease_share: f64,
-    /// A connected piece longer than this is taken for several objects rather than one.
+    /// A longer connected piece is assumed to be several objects.
     pub clutter_m: f64,
-    /// The share of frames in which an object must be visible.
+    /// Smallest share of frames in which an object must be visible.
     pub min_seen_share: f64,
     /// Seed of plane fitting.
     pub seed: Seed,
-    /// Whether to correct the borders of masks in 3-D ([`crate::refine_edges`]), for all sources but the truth.
+    /// Whether to correct mask borders in 3-D ([`crate::refine_edges`]), for all sources except the truth.
     pub refine_edges: bool,
-    /// Whether free-standing things without a label become objects ([`crate::add_unknown`]), for all sources but geometry
+    /// Whether unlabelled free-standing pieces become objects ([`crate::add_unknown`]), for all sources except geometry
     /// and the truth.
     pub add_unknown: bool,
 }

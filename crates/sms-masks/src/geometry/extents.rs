@@ -21,7 +21,7 @@ pub(crate) fn extents(surfels: &[Surfel], members: &[usize]) -> [f64; 3] {
     })
 }
 
-/// Whether a piece fills little of its bounding rectangle, as rims do.
+/// Returns whether a piece fills little of its bounding rectangle, as rims do.
 pub(crate) fn is_ragged(area_m2: f64, middle_m: f64, long_m: f64) -> bool {
     area_m2 < 0.35 * middle_m * long_m
 }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use sms_core::{Cancel, CoreError, DepthImage};
 use sms_frames::{Frame, Sequence};
 
-/// A piece of surface: one occupied cell of the fused cloud.
+/// Surface element: one occupied cell of the fused cloud.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Surfel {
     /// Position in the world.
@@ -23,7 +23,7 @@ pub(crate) struct Surfel {
     pub(crate) sigma_m: f64,
 }
 
-/// Sums of the samples of one cell, in one frame or in several.
+/// Sums over the samples of one cell, in one frame or several.
 #[derive(Debug, Clone, Copy)]
 struct FusedCell {
     key: u64,
@@ -54,7 +54,7 @@ pub(crate) fn fuse(
         .collect();
     cancel.check()?;
     let mut cells = merge(parts.into_iter().flatten().collect());
-    // The outskirts of the noise: cells with a small fraction of the samples that a cell usually has.
+    // Cells with a small fraction of the usual number of samples are noise.
     let mut counts: Vec<u32> = cells.iter().map(|c| c.count).collect();
     let middle = counts.len() / 2;
     let usual = if counts.is_empty() { 0 } else { *counts.select_nth_unstable(middle).1 };
@@ -71,7 +71,7 @@ pub(crate) fn fuse(
     Ok((surfels, graph))
 }
 
-/// At most `most` indices below `count`, evenly spread.
+/// Returns at most `most` indices below `count`, evenly spread.
 fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
     let n = count.min(most.max(1));
     (0..n).map(move |k| k * count / n)
@@ -94,9 +94,9 @@ fn depth_limit(frames: &[&Frame], config: &GeometryConfig) -> f64 {
     config.max_depth_m.min(config.depth_spread * usual)
 }
 
-/// The back-projected pixels of one frame. Isolated depths (fewer than 4 of the 5×5 around agree within 3 %) are not
-/// surface. A sample weighs by the inverse of z², and by the cosine of its viewing angle where the normal is known:
-/// samples near silhouettes are off by up to a pixel.
+/// Returns the back-projected pixels of one frame. Isolated depths are skipped: fewer than 4 of the 5×5 pixels around
+/// them agree within 3 %. The weight of a sample is the inverse of z², times the cosine of its viewing angle if the
+/// normal is known: samples near silhouettes are off by up to a pixel.
 fn samples(frame: &Frame, limit_m: f64, config: &GeometryConfig) -> Vec<FusedCell> {
     let (w, h) = frame.depth.size();
     let center_w = frame.camera.center_w();
@@ -138,8 +138,8 @@ fn samples(frame: &Frame, limit_m: f64, config: &GeometryConfig) -> Vec<FusedCel
     cells
 }
 
-/// Returns the same surface in cells of size `cell_m`, their neighbours (within 2.5 cells), and the coarse surfel
-/// of each fine one. Coarse normals come from a wider neighbourhood and are reliable where noise tilts fine ones.
+/// Returns the same surface in cells of size `cell_m`, their neighbours (within 2.5 cells), and the coarse surfel of
+/// each fine one. Coarse normals come from a wider neighbourhood and are reliable even where noise tilts fine ones.
 pub(crate) fn coarsen(surfels: &[Surfel], cell_m: f64) -> (Vec<Surfel>, Neighbors, Vec<u32>) {
     let key = |s: &Surfel| key_of(s.p_w, cell_m).unwrap_or(u64::MAX);
     let cells = merge(
@@ -159,12 +159,12 @@ pub(crate) fn coarsen(surfels: &[Surfel], cell_m: f64) -> (Vec<Surfel>, Neighbor
     let keys: Vec<u64> = cells.iter().map(|c| c.key).collect();
     let graph = Neighbors::new(&keys, &positions, 2.5 * cell_m, cell_m);
     let coarse = orient(&cells, &positions, &graph, 2.5 * cell_m);
-    // Every key is there: the cells were made of these surfels.
+    // The cells were made from these surfels, so every key exists.
     let parent = surfels.par_iter().map(|s| keys.partition_point(|&k| k < key(s)) as u32).collect();
     (coarse, graph, parent)
 }
 
-/// Adds up the cells of equal key; the sort is stable, so sums run in the frames' order.
+/// Adds up cells with equal keys. The sort is stable, so sums run in the order of the frames.
 fn merge(mut cells: Vec<FusedCell>) -> Vec<FusedCell> {
     cells.par_sort_by_key(|c| c.key);
     cells
@@ -185,7 +185,7 @@ fn merge(mut cells: Vec<FusedCell>) -> Vec<FusedCell> {
         .collect()
 }
 
-/// Whether more frames see a surface at the cell than see through it.
+/// Returns whether more frames see a surface at the cell than see through it.
 fn is_consistent(cell: &FusedCell, frames: &[&Frame]) -> bool {
     let p_w = cell.p_w / cell.weight;
     let (mut seen, mut through) = (0usize, 0usize);
@@ -202,7 +202,7 @@ fn is_consistent(cell: &FusedCell, frames: &[&Frame]) -> bool {
     seen > through
 }
 
-/// The least and largest depth of the 3×3 pixels around one; `None` where fewer than 3 are measured.
+/// Returns the smallest and largest depth of the 3×3 pixels around one; `None` if fewer than 3 are measured.
 fn around(depth: &DepthImage, x: usize, y: usize) -> Option<(f64, f64)> {
     let (mut near, mut far, mut count) = (f32::INFINITY, 0.0f32, 0);
     for j in y.saturating_sub(1)..(y + 2).min(depth.height) {
@@ -218,8 +218,8 @@ fn around(depth: &DepthImage, x: usize, y: usize) -> Option<(f64, f64)> {
     (count >= 3).then_some((f64::from(near), f64::from(far)))
 }
 
-/// Normals from the weighted neighbourhood of each cell; then each position moves along its normal onto the mean of
-/// those neighbours that face the same way, which turns the noise's thick skin into a surface.
+/// Computes normals from the weighted neighbourhood of each cell. Then moves each position along its normal onto the
+/// mean of the neighbours that face the same way, which turns the thick skin of noise into a surface.
 fn orient(cells: &[FusedCell], positions: &[DVec3], graph: &Neighbors, reach_m: f64) -> Vec<Surfel> {
     // Gaussian of half the reach, truncated at the reach.
     let near = |i: usize| {
@@ -239,7 +239,7 @@ fn orient(cells: &[FusedCell], positions: &[DVec3], graph: &Neighbors, reach_m: 
                     let n = vectors[0];
                     (if n.dot(towards) < 0.0 { -n } else { n }, values[0].max(0.0).sqrt())
                 }
-                // Too lonely for a normal of its own.
+                // Too few neighbours for a normal.
                 _ => (towards, 0.4 * reach_m),
             }
         })
@@ -269,7 +269,7 @@ fn orient(cells: &[FusedCell], positions: &[DVec3], graph: &Neighbors, reach_m: 
         .collect()
 }
 
-/// The neighbours of each surfel within a radius, in the order of their keys.
+/// The neighbours of each surfel within a radius, ordered by key.
 #[derive(Debug)]
 pub(crate) struct Neighbors {
     start: Vec<u32>,
@@ -277,7 +277,7 @@ pub(crate) struct Neighbors {
 }
 
 impl Neighbors {
-    /// Of cells of size `voxel_m` with sorted keys.
+    /// Builds the neighbours of cells of size `voxel_m` with sorted keys.
     pub(crate) fn new(keys: &[u64], positions: &[DVec3], radius_m: f64, voxel_m: f64) -> Self {
         const CHUNK: usize = 8192;
         let radius2 = radius_m * radius_m;
@@ -319,7 +319,8 @@ impl Neighbors {
         self.list[self.start[i] as usize..self.start[i + 1] as usize].iter().map(|&j| j as usize)
     }
 
-    /// The connected pieces of the surfels that `holds` admits, each sorted, in the order of their first surfel.
+    /// Returns the connected pieces of the surfels accepted by `holds`, each sorted, in the order of their first
+    /// surfel.
     pub(crate) fn components(&self, holds: impl Fn(usize) -> bool) -> Vec<Vec<usize>> {
         let mut taken = vec![false; self.start.len() - 1];
         let mut pieces = Vec::new();

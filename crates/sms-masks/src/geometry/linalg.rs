@@ -13,7 +13,7 @@ pub(crate) fn symmetric_eigen(matrix: DMat3) -> ([f64; 3], [DVec3; 3]) {
 
 /// Weighted mean and covariance of points, and the sum of weights; `None` when the weights sum to 0.
 pub(crate) fn mean_and_covariance(points: impl Iterator<Item = (DVec3, f64)>) -> Option<(DVec3, DMat3, f64)> {
-    // Moments about the first point: one pass, and no cancellation however far the points are from the origin.
+    // Moments about the first point: one pass, without cancellation far from the origin.
     let (mut origin, mut first, mut second, mut total) = (None, DVec3::ZERO, DMat3::ZERO, 0.0);
     for (p, w) in points {
         let d = p - *origin.get_or_insert(p);

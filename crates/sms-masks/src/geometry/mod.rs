@@ -1,13 +1,8 @@
-//! Objects from geometry alone: large planes are removed, the rest is clustered, and clusters are projected into
-//! every frame.
-//!
-//! 1. [`fuse`]: all frames become one cloud of surfels, without points that other frames see through.
-//! 2. [`planes`]: planar pieces too large to be a face of an object (floor, desk, walls) are static, except in
-//!    assemblies that stand free on the ground as a whole ([`assembly`]: furniture, containers, their loads).
-//! 3. [`cluster`]: the rest is split into connected pieces; pieces are split where two convex objects meet
-//!    ([`segments`]) and around balls ([`balls`]), assemblies where one object stands on another; posts join their
-//!    loads; pieces that cannot be objects become background.
-//! 4. [`project`]: each pixel takes the label of the surfels visible in it.
+//! s the rest is split into connected pieces; pieces are split where two convex objects meet ([`segments`]) and around
+//! balls ([`balls`]), assemblies where one object stands on another; posts join their loads; pieces that cannot be
+//! objects become background. => the rest is split into connected pieces. Pieces are split where two convex objects
+//! meet ([`segments`]) and around balls ([`balls`]); assemblies are split where one object stands on another. Posts
+//! join their loads. Pieces that cannot be objects become background.
 
 mod assembly;
 mod balls;
@@ -30,20 +25,20 @@ use rayon::prelude::*;
 use sms_core::{Cancel, LabelInfo, LabelMap, Labels, MaskSource, Progress, StageContext};
 use sms_frames::Sequence;
 
-/// Objects from geometry, without any network: the default segmentation.
+/// Objects from geometry, without a network: the default segmentation.
 ///
-/// Objects are named `object_01`, `object_02`, … by decreasing observed surface. Touching objects are separated
-/// where they meet in an inward crease and differ in colour, or touch in less than their cross-section; a crease
-/// alone is not enough, since toys and statues have creases. A ball is an object of its own if its colour differs
-/// from that of its neighbours. Clutter (connected pieces longer than [`GeometryConfig::clutter_m`]) needs less
-/// evidence, and in pieces longer than 0.35 m a level crease all around separates an object from its support. The
-/// bottom of a vessel belongs to its walls, and upright posts to their load. A free-standing assembly on the ground
-/// that is larger than an object is a stack of bodies that meet in level seams.
+/// Objects are named `object_01`, `object_02`, … by decreasing observed surface. Touching objects are separated where
+/// they meet in an inward crease and differ in colour, or touch in less than their cross-section. A crease alone is not
+/// enough, since toys and statues have creases. A ball is a separate object if its colour differs from that of its
+/// neighbours. Clutter (connected pieces longer than [`GeometryConfig::clutter_m`]) needs less evidence, and in pieces
+/// longer than 0.35 m a level crease all around separates an object from its support. The bottom of a vessel belongs to
+/// its walls, and upright posts to their load. A free-standing assembly on the ground that is larger than an object is
+/// a stack of bodies that meet in level seams.
 ///
-/// Limits: a stack with flush sides and similar colours remains one object, or is cut wrongly, unless the upper
-/// body juts out over the lower one visibly along half of the way around; so do objects of one colour side by side
-/// on a piece of furniture. An object without contrast to a wall that it touches may keep a fringe of the wall.
-/// Flat soft objects on a noisy support may be lost in it.
+/// Limits: a stack with flush sides and similar colours remains one object or is cut wrongly, unless the upper body
+/// visibly juts out over the lower one along half of the perimeter. Objects of one colour side by side on furniture
+/// also remain one object. An object without contrast to a wall that it touches may keep a fringe of the wall. Flat
+/// soft objects on a noisy support may be lost.
 #[derive(Debug, Clone, Default)]
 pub struct GeometryMasks {
     /// The settings.
@@ -59,7 +54,7 @@ pub(crate) struct Clustered {
     is_static: Vec<bool>,
     /// The objects: sorted surfels, the largest first.
     pub(crate) clusters: Vec<Vec<usize>>,
-    /// Lengths of surfaces that stand free like a structure and are static only for their size, metres.
+    /// Lengths of free-standing surfaces that are static only because of their size, metres.
     oversize_m: Vec<f64>,
 }
 
@@ -86,17 +81,17 @@ impl Clustered {
         Ok(Self { surfels, graph, is_static, clusters, oversize_m })
     }
 
-    /// Marks the surfels whose position in the world `holds` accepts.
+    /// Marks the surfels with a world position accepted by `holds`.
     pub(crate) fn surfels_where(&self, holds: impl Fn(DVec3) -> bool + Sync) -> Vec<bool> {
         self.surfels.par_iter().map(|s| holds(s.p_w)).collect()
     }
 
-    /// Whether a surfel lies beside a wall or another upright static surface.
+    /// Returns whether a surfel lies beside a wall or another upright static surface.
     pub(crate) fn touches_wall(&self, i: usize) -> bool {
         self.graph.of(i).any(|j| self.is_static[j] && self.surfels[j].n_w.z < planes::ROUGHLY_ALIGNED)
     }
 
-    /// A label map of every frame, of the clusters' positions plus 1.
+    /// Returns a label map for every frame; the label is the cluster's index plus 1.
     pub(crate) fn maps(
         &self,
         sequence: &Sequence,

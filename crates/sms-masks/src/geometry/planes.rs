@@ -19,40 +19,40 @@ pub(crate) struct StaticPlane {
     pub(crate) p_w: DVec3,
     /// Its unit normal towards the cameras.
     pub(crate) n_w: DVec3,
-    /// Distance from the plane within which a surfel that faces the same way belongs to it: three times the spread of
-    /// its own surfels.
+    /// A surfel that faces the same way belongs to the plane within this distance: three times the spread of the
+    /// plane's own surfels.
     pub(crate) band_m: f64,
-    /// Its length, where it faces up and stands free like a table's top or a plank: only its size makes it static.
+    /// Length of a plane that faces up and is free-standing like a table top or a plank. Only its size makes it static.
     pub(crate) free_length_m: Option<f64>,
 }
 
 impl StaticPlane {
-    /// Height of a point over the plane.
+    /// Returns the height of a point above the plane.
     pub(crate) fn height(&self, p_w: DVec3) -> f64 {
         self.n_w.dot(p_w - self.p_w)
     }
 }
 
-/// A piece at most this many times longer than a structure may be one.
+/// Largest length of an oversize structure, as a multiple of the largest structure.
 const OVERSIZE: f64 = 2.0;
-/// Most pieces that are looked at before fitting stops.
+/// Largest number of candidate pieces before fitting stops.
 const MAX_FITS: usize = 60;
-/// Planes drawn for one fit.
+/// Number of planes drawn for one fit.
 const DRAWS: usize = 160;
-/// Cosine of the angle between the normals of a plane and of its coarse surfels.
+/// Smallest cosine between the normals of a plane and of its coarse surfels.
 const ALIGNED: f64 = 0.92;
 /// The same for fine surfels, whose normals are noisier.
 pub(crate) const ROUGHLY_ALIGNED: f64 = 0.75;
-/// Size of the coarse cells that planes are found on, in fine cells.
+/// Size of the coarse cells for the plane search, in fine cells.
 const COARSE: f64 = 3.0;
-/// Real floors, walls and sensors bend so far from the plane.
+/// Largest bend of real floors, walls and sensors from the plane.
 const BEND_M: f64 = 0.015;
 
 /// Returns which surfels are static, the free-standing assembly of each surfel, and the static planes.
 ///
 /// Planes are found on coarse surfels by one-point RANSAC (a surfel and its normal define a plane), one after the
-/// other; each is split into connected pieces, of which the large ones are static and grow over their smooth
-/// continuation. Fine surfels over these pieces are then classified by their distance.
+/// other. Each is split into connected pieces; the large ones are static and grow over their smooth continuation. Fine
+/// surfels above these pieces are then classified by their distance.
 pub(crate) fn static_surfels(
     surfels: &[Surfel],
     graph: &Neighbors,
@@ -92,7 +92,7 @@ pub(crate) fn static_surfels(
             plane.free_length_m = Some(long);
         }
         let members = extend(&plane, members, &coarse, &coarse_graph);
-        // The cells over, under and beside the piece contain its outskirts.
+        // The cells above, below and beside the piece contain its outliers.
         let mut over: Vec<usize> =
             members.iter().flat_map(|&c| coarse_graph.of(c).chain(std::iter::once(c))).collect();
         over.sort_unstable();
@@ -112,7 +112,7 @@ pub(crate) fn static_surfels(
     Ok((is_static, assembly_of, planes))
 }
 
-/// The free-standing assemblies among the coarse surfels; see [`free_standing`].
+/// Returns the free-standing assemblies among the coarse surfels; see [`free_standing`].
 fn assemblies(
     coarse: &[Surfel],
     graph: &Neighbors,
@@ -144,14 +144,14 @@ fn assemblies(
         for (c, s) in coarse.iter().enumerate().filter(|(_, s)| over.contains(&at(s.p_w))) {
             let h = plane.height(s.p_w);
             heights[c] = heights[c].min(if h < -BEND_M { f64::INFINITY } else { h });
-            // Surfels that noise lifts off the ground connect nothing.
+            // Surfels that noise lifts off the ground do not connect pieces.
             is_ground[c] |= (-BEND_M..BEND_M).contains(&h);
         }
     }
     free_standing(coarse, graph, &heights, &is_ground, &is_static, config)
 }
 
-/// The large planar pieces of the coarse surfels: members (sorted) and normal.
+/// Returns the large planar pieces of the coarse surfels: members (sorted) and normal.
 fn large_pieces(
     coarse: &[Surfel],
     graph: &Neighbors,
@@ -163,11 +163,11 @@ fn large_pieces(
     let mut rng = config.seed.derive("planes").rng();
     let mut open: Vec<usize> = (0..coarse.len()).collect();
     let mut large = Vec::new();
-    // A piece of least area that is long enough to be static.
+    // Smallest area of a piece that is long enough to be static.
     let smallest = (STRIP * config.max_face_m2 / cell_m.powi(2)) as usize;
     let band = (3.0 * median(coarse.iter().map(|s| s.sigma_m).collect())).clamp(0.004, 0.01);
-    // Objects need a support: without a large piece that faces up, it is the lowest piece that faces up, has some
-    // area, and does not itself stand on a lower surface.
+    // Objects need a support. If no large piece faces up, the support is the lowest piece that faces up, has some area,
+    // and does not stand on a lower surface.
     let mut support: Option<(Vec<usize>, DVec3, f64)> = None;
     for _ in 0..MAX_FITS {
         cancel.check()?;
@@ -193,7 +193,7 @@ fn large_pieces(
         let mut on = vec![false; coarse.len()];
         open.iter().for_each(|&j| on[j] = fits(&coarse[j], p_w, n_w, band));
         let pieces = graph.components(|i| on[i]);
-        // Each surfel is examined once, whether its piece is large or not.
+        // Each surfel is examined once, whether or not its piece is large.
         open.retain(|&j| !on[j] && j != best);
         if pieces.iter().map(Vec::len).sum::<usize>() < smallest {
             continue;
@@ -211,7 +211,7 @@ fn large_pieces(
         let is_static = |m: &Vec<usize>| {
             is_large(coarse, graph, m, n_w, cell_m, config)
                 && (length(coarse, m) > config.max_structure_m
-                    // Walls and lips stand free, too, and are not objects.
+                    // Walls and lips are also free-standing, but are not objects.
                     || n_w.z < UPWARD
                     || !stands_free(coarse, m, p_w, n_w, cell_m, sequence))
         };
@@ -231,17 +231,19 @@ fn median(mut values: Vec<f64>) -> f64 {
     sms_core::quantile(&mut values, 0.5, QuantileRule::Nearest).unwrap_or(0.0)
 }
 
-/// Share of the largest face's area from which something may stand on a piece.
+/// Smallest area of a piece that may carry something, as a share of the largest face's area.
 const SUPPORT: f64 = 0.15;
 
-/// Share of the largest face's area that makes a piece static if it is longer than any object: a bin's lip, a rail.
+/// Smallest area of a static piece that is longer than any object (a bin's lip, a rail), as a share of the largest
+/// face's area.
 const STRIP: f64 = 0.2;
 
-/// Share of the largest face's area that makes a piece static if it walls something in; if it faces up, so that things stand
-/// on it.
+/// Smallest area of a static piece that encloses objects, as a share of the largest face's area: in general, and if it
+/// faces up and may carry objects.
 const WALL: [f64; 2] = [0.3, 0.15];
 
-/// Whether a planar piece is longer or has more area than a face of an object, or has some area and walls things in.
+/// Returns whether a planar piece is longer or has more area than a face of an object, or has some area and encloses
+/// objects.
 fn is_large(
     coarse: &[Surfel],
     graph: &Neighbors,
@@ -252,7 +254,7 @@ fn is_large(
 ) -> bool {
     let u = n_w.any_orthonormal_vector();
     let v = n_w.cross(u);
-    // Cells across the plane: the skin's thickness must not count as area.
+    // Cells across the plane: the thickness of the skin must not count as area.
     let cells: BTreeSet<(i64, i64)> = members
         .iter()
         .map(|&i| {
@@ -267,21 +269,21 @@ fn is_large(
         || (area > wall * config.max_face_m2 && walls_in(coarse, graph, members, n_w))
 }
 
-/// Least upward part of the normal of a top and its edges; walls have less.
+/// Smallest upward part of the normals of a table top and its edges; walls have less.
 const UPWARD: f64 = 0.15;
 
-/// Finds the lowest level plane shared by patches that face up, if together they span more than a face of an
-/// object: on metal, glass and at grazing angles, depth cameras measure only scattered patches. Returns sorted
-/// surfels and the normal.
+/// Finds the lowest level plane shared by patches that face up, if together they span more than a face of an object. On
+/// metal, on glass and at grazing angles, depth cameras measure only scattered patches. Returns sorted surfels and the
+/// normal.
 fn scattered_ground(
     surfels: &[Surfel],
     graph: &Neighbors,
     config: &GeometryConfig,
 ) -> Option<(Vec<usize>, DVec3)> {
-    /// Surface that a patch shows at least (m²), and that all of them do.
+    /// Smallest surface of one patch (m²), and of all patches together.
     const PATCH_M2: f64 = 2.25e-4;
     const SHOWN_M2: f64 = 3.6e-3;
-    /// Normals of a level plane stray from the vertical by less than 6°; single surfels by more.
+    /// Mean normals of a level plane deviate from the vertical by less than 6°; single surfels by more.
     const LEVEL: f64 = 0.995;
     let band = (3.0 * median(surfels.iter().map(|s| s.sigma_m).collect())).clamp(0.004, 0.01);
     let least = PATCH_M2 / config.voxel_m.powi(2);
@@ -308,7 +310,7 @@ fn scattered_ground(
             let points = members.iter().map(|&i| (surfels[i].p_w, 1.0));
             let Some((mean, covariance, _)) = mean_and_covariance(points) else { break };
             let n = aligned(symmetric_eigen(covariance).1[0], DVec3::Z);
-            // Patches along a line do not determine the plane across it.
+            // Patches along a line do not determine the tilt across it.
             (p_w, n_w) = (mean, if n.z > LEVEL { n } else { DVec3::Z });
             members = patches(p_w, n_w);
         }
@@ -321,12 +323,12 @@ fn scattered_ground(
     None
 }
 
-/// Whether nothing beside a piece that faces up reaches below it: neither objects on the same ground nor the walls
-/// around both.
+/// Returns whether nothing beside a piece that faces up reaches below it: neither objects on the same ground nor the
+/// walls around both.
 fn is_ground(coarse: &[Surfel], members: &[usize], p_w: DVec3, n_w: DVec3, cell_m: f64) -> bool {
-    /// How far aside, in cells.
+    /// Largest sideways distance, in cells.
     const ASIDE: i64 = 3;
-    /// Share of the piece's cells from which the surface below is more than noise and mirror images.
+    /// Surface below more than this share of the piece's cells is not just noise or mirror images.
     const BELOW: f64 = 0.1;
     let u = n_w.any_orthonormal_vector();
     let v = n_w.cross(u);
@@ -345,12 +347,12 @@ fn is_ground(coarse: &[Surfel], members: &[usize], p_w: DVec3, n_w: DVec3, cell_
     (below.count() as f64) < BELOW * members.len() as f64
 }
 
-/// Share of a rim past which the surroundings must be visible, for pieces that face up and for others: objects on a
-/// table interrupt the rim of its top.
+/// Smallest share of a rim beyond which the surroundings must be visible: for pieces that face up, and for others.
+/// Objects on a table interrupt the rim of its top.
 const FREE_RIM: [f64; 2] = [0.35, 0.5];
 
-/// Whether a planar piece visibly ends: past most of its rim, cameras look through its plane. Floors, walls and
-/// desks end at the edge of the view, or at other large surfaces.
+/// Returns whether a planar piece visibly ends: beyond most of its rim, cameras see through its plane. Floors, walls
+/// and desks end at the edge of the view, or at other large surfaces.
 fn stands_free(
     coarse: &[Surfel],
     members: &[usize],
@@ -359,7 +361,7 @@ fn stands_free(
     cell_m: f64,
     sequence: &Sequence,
 ) -> bool {
-    /// How far past the rim, in cells.
+    /// Distance beyond the rim, in cells.
     const PAST: i64 = 2;
     let u = n_w.any_orthonormal_vector();
     let v = n_w.cross(u);
@@ -368,7 +370,7 @@ fn stands_free(
         let d = s.p_w - p_w;
         ((u.dot(d) / cell_m).floor() as i64, (v.dot(d) / cell_m).floor() as i64)
     };
-    // The rim of a piece that faces up is uninformative around the objects on it.
+    // Around objects on a piece that faces up, its rim says nothing about its end.
     let occupied: BTreeSet<(i64, i64)> = match n_w.z > 0.9 {
         true => coarse.iter().filter(over).map(project).collect(),
         false => BTreeSet::new(),
@@ -377,7 +379,7 @@ fn stands_free(
     let (mut rim, mut free, mut covered) = (0usize, 0usize, 0usize);
     for &(x, y) in &cells {
         for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
-            // Holes of a cell or two are not a rim.
+            // A hole of one or two cells has no rim.
             if (1..=PAST + 1).any(|k| cells.contains(&(x + k * dx, y + k * dy))) {
                 continue;
             }
@@ -395,7 +397,7 @@ fn stands_free(
     4 * free > rim && free as f64 >= needed * (rim - covered) as f64
 }
 
-/// Whether at least two frames look through a point, and more than see a surface there.
+/// Returns whether at least two frames see through a point, and more than see a surface at it.
 pub(crate) fn is_seen_through(p_w: DVec3, sequence: &Sequence) -> bool {
     let (mut seen, mut through) = (0usize, 0usize);
     let step = sequence.len().div_ceil(40).max(1);
@@ -410,8 +412,8 @@ pub(crate) fn is_seen_through(p_w: DVec3, sequence: &Sequence) -> bool {
     through >= 2 && through > seen
 }
 
-/// Whether the surfaces beside a planar piece lie in front of it, as inside a bin: the face of an object has the
-/// object's other faces, or its support, behind it.
+/// Returns whether the surfaces beside a planar piece lie in front of it, as inside a bin. The face of an object has
+/// the object's other faces, or its support, behind it.
 fn walls_in(coarse: &[Surfel], graph: &Neighbors, members: &[usize], n_w: DVec3) -> bool {
     const CLEAR_M: f64 = 0.008;
     let inside: BTreeSet<usize> = members.iter().copied().collect();
@@ -421,12 +423,12 @@ fn walls_in(coarse: &[Surfel], graph: &Neighbors, members: &[usize], n_w: DVec3)
     let heights = || ring.iter().map(|&j| n_w.dot(coarse[j].p_w - mean));
     let front = heights().filter(|h| *h > CLEAR_M).count();
     let behind = heights().filter(|h| *h < -CLEAR_M).count();
-    // A piece that faces up and carries objects may end in an edge towards the camera, as a shelf does.
+    // A piece that faces up and carries objects may end in an edge towards the camera (a shelf).
     let few = if n_w.z > 0.9 { 1 } else { 4 };
     10 * front > 3 * ring.len() && few * behind < front
 }
 
-/// The plane of a piece's fine surfels, with their spread.
+/// Fits the plane of a piece's fine surfels, with their spread.
 fn fit(surfels: &[Surfel], members: &[usize], n_w: DVec3) -> StaticPlane {
     let points = members.iter().map(|&i| (surfels[i].p_w, 1.0));
     let (mut p_w, mut n_w) = match mean_and_covariance(points) {
@@ -436,7 +438,7 @@ fn fit(surfels: &[Surfel], members: &[usize], n_w: DVec3) -> StaticPlane {
     let spread = |p_w: DVec3, n_w: DVec3| {
         1.4826 * median(members.iter().map(|&i| n_w.dot(surfels[i].p_w - p_w).abs()).collect())
     };
-    // Things that stand on it pull the plane up; within the spread they do not.
+    // Objects on the plane pull the fit up. Only surfels within the spread are used.
     for _ in 0..3 {
         let within = 3.0 * spread(p_w, n_w).max(5e-4);
         let near = members.iter().map(|&i| surfels[i].p_w).filter(|&p| n_w.dot(p - p_w).abs() < within);
@@ -451,26 +453,26 @@ fn aligned(n: DVec3, with: DVec3) -> DVec3 {
     if n.dot(with) < 0.0 { -n } else { n }
 }
 
-/// Greatest thickness of the cloud around a cell that continues a plane, or twice the thickness that noise causes
-/// nearby. Around the edge of a book it is thicker, though a slope of 1:8 leads over it.
+/// Largest thickness of the cloud around a cell that continues a plane. The limit is higher where noise nearby is:
+/// twice the thickness it causes. The edge of a book is thicker, although its slope is only 1:8.
 const FLAT_M: f64 = 0.001;
-/// Nearby: noise grows with the square of the depth.
+/// Radius of the neighbourhood: noise grows with the square of the depth.
 const NEARBY_M: f64 = 0.2;
 
-/// How thick the cloud may be around the cells that continue a piece, by where they are.
+/// Returns the largest thickness of the cloud around cells that continue a piece, as a function of position.
 fn flatness(members: &[usize], coarse: &[Surfel]) -> impl Fn(DVec3) -> f64 + use<> {
     let block = |p: DVec3| (p / NEARBY_M).floor().as_i64vec3().to_array();
     let mut sigmas: BTreeMap<[i64; 3], Vec<f64>> = BTreeMap::new();
     members.iter().for_each(|&i| sigmas.entry(block(coarse[i].p_w)).or_default().push(coarse[i].sigma_m));
-    // The lower quartile: rims and objects on the piece thicken the cloud, too.
+    // The lower quartile ignores rims and objects on the piece, which also thicken the cloud.
     let limit = |values: Vec<f64>| (2.0 * quantile(values.into_iter(), 0.25)).max(FLAT_M);
     let all = limit(sigmas.values().flatten().copied().collect());
     let nearby: BTreeMap<[i64; 3], f64> = sigmas.into_iter().map(|(at, own)| (at, limit(own))).collect();
     move |p| nearby.get(&block(p)).copied().unwrap_or(all)
 }
 
-/// Grows a piece over the coarse surfels that continue it: they face the same way, rise from a neighbour by less than a slope of
-/// about 1:8, and are as flat as the piece.
+/// Grows a piece over coarse surfels that continue it: they face the same way, are as flat as the piece, and rise from
+/// a neighbour with a slope below about 1:8.
 fn extend(plane: &StaticPlane, mut members: Vec<usize>, coarse: &[Surfel], graph: &Neighbors) -> Vec<usize> {
     let flat_m = flatness(&members, coarse);
     let mut taken = vec![false; coarse.len()];
@@ -496,10 +498,11 @@ fn extend(plane: &StaticPlane, mut members: Vec<usize>, coarse: &[Surfel], graph
 }
 
 impl StaticPlane {
-    /// Whether a fine surfel over one of the plane's cells belongs to it: within the band and facing the same way;
-    /// within a third of the band whichever way it faces (where a wall meets the floor, normals are mixed and only
-    /// height decides); or where the plane bends, near the coarse surface around it (`own`: a cell of the plane itself; the
-    /// bottom of a vessel is near the floor, and no continuation of it).
+    /// Returns whether a fine surfel above one of the plane's cells belongs to the plane. It does within the band if it
+    /// faces the same way. It does within a third of the band regardless of its normal: where a wall meets the floor,
+    /// normals are mixed and only height decides. Where the plane bends, it does near the coarse surface around it.
+    /// `own` is true for a cell of the plane itself: the bottom of a vessel is close to the floor without continuing
+    /// it.
     fn holds(&self, s: &Surfel, coarse: &Surfel, own: bool) -> bool {
         let height = self.height(s.p_w);
         let faces = s.n_w.dot(self.n_w) > ROUGHLY_ALIGNED;
@@ -511,7 +514,7 @@ impl StaticPlane {
     }
 }
 
-/// A surfel near a plane among neighbours that are mostly static is static: noise tilts single normals.
+/// Makes a surfel near a plane static if most of its neighbours are: noise tilts single normals.
 fn follow_majority(is_static: &mut [bool], surfels: &[Surfel], graph: &Neighbors, planes: &[StaticPlane]) {
     let joins: Vec<bool> = (0..surfels.len())
         .into_par_iter()

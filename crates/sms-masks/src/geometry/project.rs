@@ -1,4 +1,4 @@
-//! From labelled surfels to label maps.
+//! Projection of labelled surfels to label maps.
 
 use super::GeometryConfig;
 use super::fuse::Surfel;
@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use sms_core::{BACKGROUND, Cancel, CoreError, Image, LabelMap};
 use sms_frames::{Frame, Sequence};
 
-/// A surfel as a frame sees it.
+/// A surfel visible in a frame.
 #[derive(Debug, Clone, Copy)]
 struct VisibleSurfel {
     pixel: u32,
@@ -26,11 +26,11 @@ struct RayCandidate {
     rho: f64,
 }
 
-/// Labels every frame: each pixel takes the label of the surfels it sees.
+/// Labels every frame: each pixel gets the label of the surfels visible in it.
 ///
-/// Which those are its own depth says, where it was measured and the cloud agrees; elsewhere (holes, flying pixels) the
-/// frontmost. Each surfel votes by how near the ray meets its plane, so that borders lie between surfels and do not
-/// follow their cells.
+/// The measured depth of the pixel selects these surfels if the cloud agrees with it. Elsewhere (holes, flying pixels)
+/// the frontmost surfels count. The vote of a surfel grows the closer the ray meets its plane, so that borders lie
+/// between surfels and do not follow cells.
 pub(crate) fn label_frames(
     sequence: &Sequence,
     surfels: &[Surfel],
@@ -56,7 +56,7 @@ fn label_frame(frame: &Frame, surfels: &[Surfel], labels: &[u16], config: &Geome
     if !nearest.is_finite() {
         return map;
     }
-    // The ray may meet a surfel's disc this many pixels away from its centre's projection.
+    // Largest distance between a pixel whose ray meets a surfel's disc and the projected centre, in pixels.
     let k = &frame.camera.intrinsics;
     let reach = ((REACH * config.voxel_m * k.fx.max(k.fy) / nearest).ceil() as usize).clamp(1, 12);
     // All other pixels are background.
@@ -72,7 +72,7 @@ fn label_frame(frame: &Frame, surfels: &[Surfel], labels: &[u16], config: &Geome
             let row = (j * w + x.saturating_sub(reach), j * w + (x + reach).min(w - 1));
             for s in &seen[start[row.0] as usize..start[row.1 + 1] as usize] {
                 let rate = s.n_c.dot(d);
-                // Away from the camera, or too grazing for the plane to say where the ray meets it.
+                // The surfel faces away from the camera, or is too grazing to determine where the ray meets its plane.
                 if rate > -0.05 {
                     continue;
                 }
@@ -91,7 +91,7 @@ fn label_frame(frame: &Frame, surfels: &[Surfel], labels: &[u16], config: &Geome
 /// Largest distance of a ray from a surfel, in cells.
 const REACH: f64 = 1.25;
 
-/// Returns the surfels in front of the camera whose label and pixel `keep` accepts.
+/// Returns the surfels in front of the camera whose label and pixel are accepted by `keep`.
 fn visible(
     frame: &Frame,
     surfels: &[Surfel],
@@ -114,7 +114,7 @@ fn visible(
         let pixel = y * k.width + x;
         if keep(label, pixel) {
             let n_c = r_cw * s.n_w;
-            // Surfels that face away hide nothing that another surfel does not.
+            // Surfels that face away hide only places that other surfels hide as well.
             if n_c.dot(p_c) < 0.0 {
                 seen.push(VisibleSurfel { pixel: pixel as u32, label, p_c, n_c });
             }
@@ -123,7 +123,8 @@ fn visible(
     seen
 }
 
-/// Sorted by pixel, with the position of each pixel's first (counting sort; equal pixels keep their order).
+/// Sorts the surfels by pixel. Also returns the position of each pixel's first surfel (counting sort; equal pixels keep
+/// their order).
 fn by_pixel(seen: &[VisibleSurfel], pixels: usize) -> (Vec<u32>, Vec<VisibleSurfel>) {
     let mut start = vec![0u32; pixels + 1];
     seen.iter().for_each(|s| start[s.pixel as usize + 1] += 1);
@@ -140,7 +141,7 @@ fn by_pixel(seen: &[VisibleSurfel], pixels: usize) -> (Vec<u32>, Vec<VisibleSurf
     (start, sorted)
 }
 
-/// Which pixels have one of these surfels within `reach` pixels.
+/// Marks the pixels within `reach` pixels of a surfel.
 fn around(seen: &[VisibleSurfel], (w, h): (usize, usize), reach: usize) -> Vec<bool> {
     let mut holds = vec![false; w * h];
     seen.iter().for_each(|s| holds[s.pixel as usize] = true);
@@ -154,7 +155,7 @@ fn around(seen: &[VisibleSurfel], (w, h): (usize, usize), reach: usize) -> Vec<b
     near
 }
 
-/// The winning label of the candidates of one pixel.
+/// Returns the winning label of the candidates at one pixel.
 fn vote(candidates: &[RayCandidate], measured: f64) -> u16 {
     let sigma = |z: f64| 0.0015 + 0.0025 * z * z;
     let supports = |c: &RayCandidate, z: f64| (c.z - z).abs() < 3.0 * sigma(z);

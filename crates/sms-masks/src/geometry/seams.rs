@@ -1,9 +1,9 @@
 //! Level seams: heights at which a free-standing assembly separates, because the upper body juts out over the lower
 //! one.
 //!
-//! Segmentation alone cannot separate a board from a stool with flush sides: the board is thinner than a few
-//! surfels, the border is not a crease where both sides are coplanar, and woods look alike. The evidence is the
-//! whole way around the height at which the outline changes: a ledge, an underside or a step in colour, all along.
+//! Segmentation alone cannot separate a board from a stool with flush sides: the board is only a few surfels thick,
+//! coplanar sides have no crease, and woods look alike. The evidence comes from the whole perimeter at the height where
+//! the outline changes: a ledge, an underside or a step in colour, all around.
 
 use super::extents::quantile;
 use super::fuse::Surfel;
@@ -12,49 +12,48 @@ use glamx::{DVec2, DVec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Sides are compared within this distance above and below a height, except in the middle, where noise mixes them.
+/// Sides are compared within this distance above and below a height, except near the height, where noise mixes them.
 const BAND_M: f64 = 0.012;
 const MIXED_M: f64 = 0.002;
-/// Greatest upward part of the normal of a side, and least of a level face.
+/// Largest upward part of the normal of a side, and smallest of a level face.
 const SIDE: f64 = 0.5;
 const LEVEL: f64 = 0.6;
-/// Least vertical extent of a side; the edge of a slab has less.
+/// Smallest vertical extent of a side; the edge of a slab has less.
 const REACHES_M: f64 = 0.006;
-/// Greatest distance of a level face from its height.
+/// Largest distance of a level face from the height.
 const FACE_M: f64 = 0.006;
-/// Greatest horizontal distance between flush sides above and below.
+/// Largest horizontal distance between flush sides above and below.
 const FLUSH_M: f64 = 0.008;
-/// The upper body juts out, somewhere, by this share of the width of the lower one; lips, rims and the tops of
-/// cupboards do by less.
+/// The upper body must jut out, somewhere, by this share of the width of the lower one. Lips, rims and tops of
+/// cupboards jut out by less.
 const JUTS: f64 = 0.2;
-/// Sectors around the contact, and the share of them that must show the seam.
+/// Number of sectors around the contact, and the share of them that must show the seam.
 const SECTORS: usize = 24;
 const SHOWN: f64 = 0.5;
-/// Hues of two objects differ by this many spreads of the difference along the way; light changes the logarithm of
-/// the ratio of two channels by `LIGHT`.
+/// Hues of two objects differ by this many spreads of the difference along the perimeter. Light changes the logarithm
+/// of the ratio of two channels by `LIGHT`.
 pub(crate) const OTHER_HUE: f64 = 2.0;
 const LIGHT: f64 = 0.03;
-/// Greatest distance of a touching surface from the outline of the body below.
+/// Largest distance of a touching surface outside the outline of the body below.
 const ASIDE_M: f64 = 0.015;
 
 /// A level line along which one body stands on another.
 #[derive(Debug, Clone)]
 pub(crate) struct LevelSeam {
     pub(crate) height_m: f64,
-    /// The outline of the body below.
+    /// Outline of the body below.
     pub(crate) outline: Footprint,
 }
 
 impl LevelSeam {
-    /// Whether a surfel is above the seam. Near the seam, level surfels that face up (a ledge or its edge) are
-    /// below, and level surfels that face down are above.
+    /// Returns whether a surfel is above the seam. Near the seam, level surfels that face up (a ledge or its edge)
+    /// count as below, and level surfels that face down as above.
     pub(crate) fn is_above(&self, s: &Surfel) -> bool {
         let up = s.p_w.z - self.height_m;
         if up.abs() < FACE_M * s.n_w.z.abs() { s.n_w.z < 0.0 } else { up > 0.0 }
     }
 
-    /// Returns 1 if the first of two neighbours is above the seam and the second below it, −1 for the reverse, else
-    /// 0.
+    /// Returns 1 if the first of two neighbours is above the seam and the second below, −1 for the reverse, else 0.
     fn between(&self, a: &Surfel, b: &Surfel) -> f64 {
         let (over, under) = (self.is_above(a), self.is_above(b));
         if over == under || !self.outline.covers(0.5 * (a.p_w + b.p_w).truncate(), ASIDE_M) {
@@ -64,7 +63,7 @@ impl LevelSeam {
     }
 }
 
-/// As [`LevelSeam::between`], for the first seam between two surfels.
+/// Like [`LevelSeam::between`], for the first seam between two surfels.
 pub(crate) fn between(seams: &[LevelSeam], a: &Surfel, b: &Surfel) -> f64 {
     seams.iter().map(|s| s.between(a, b)).find(|x| *x != 0.0).unwrap_or(0.0)
 }
@@ -72,9 +71,9 @@ pub(crate) fn between(seams: &[LevelSeam], a: &Surfel, b: &Surfel) -> f64 {
 /// Evidence for a seam at a height.
 struct Shown {
     seam: LevelSeam,
-    /// Sectors with a ledge or an underside.
+    /// Number of sectors with a ledge or an underside.
     creased: usize,
-    /// Size of the step in hue where sides are flush, and the number of sectors with such a step.
+    /// Size of the step in hue at flush sides, and the number of sectors with such a step.
     step: f64,
     stepped: usize,
 }
@@ -108,7 +107,7 @@ pub(crate) fn level_seams(surfels: &[Surfel], members: &[usize], cell_m: f64) ->
         })
         .filter(|s| (s.creased + s.stepped) as f64 >= SHOWN * SECTORS as f64)
         .collect();
-    // The best of coincident seams: the one with most creased sectors, then with the largest step in hue.
+    // The best of coincident seams: the one with the most creased sectors, then with the largest step in hue.
     shown.sort_by(|a, b| {
         b.creased
             .cmp(&a.creased)
@@ -145,7 +144,7 @@ fn around((x, y): (i64, i64)) -> impl Iterator<Item = (i64, i64)> {
     (-1..=1).flat_map(move |i| (-1..=1).map(move |j| (x + i, y + j)))
 }
 
-/// Returns the cells connected to some of them.
+/// Returns the cells connected to `from`.
 fn connected(cells: &Cells, from: impl Iterator<Item = (i64, i64)>) -> BTreeSet<(i64, i64)> {
     let mut open: Vec<(i64, i64)> = from.filter(|c| cells.contains_key(c)).collect();
     let mut taken: BTreeSet<(i64, i64)> = open.iter().copied().collect();
@@ -159,8 +158,8 @@ fn connected(cells: &Cells, from: impl Iterator<Item = (i64, i64)>) -> BTreeSet<
     taken
 }
 
-/// Collects the evidence at a height, for each connected outline of sides `below` it over which sides `above` it
-/// jut out; `level` are the level faces at this height.
+/// Collects the evidence at a height, for each connected outline of `below` sides with `above` sides that jut out over
+/// it; `level` are the level faces at this height.
 fn at_height(
     surfels: &[Surfel],
     height_m: f64,
@@ -184,7 +183,7 @@ fn at_height(
         };
         let lower = members(&below, &ring);
         let outline = Footprint::of(surfels, &lower);
-        // A load that juts out over a post belongs to it.
+        // A load that juts out over a post belongs to the post.
         if lower.len() < 2 * SECTORS || outline.narrowest() < WIDE_M {
             continue;
         }
@@ -241,7 +240,8 @@ fn along(
     }
     let is_flush = |s: &Sector| 2 * s.flush > s.all;
     let creased = sectors.iter().filter(|s| !is_flush(s) && 2 * s.faced > s.all).count();
-    // The hue of one object varies in all directions along the way; between two objects it steps in one direction.
+    // The hue of one object varies in all directions along the perimeter; between two objects it steps in one
+    // direction.
     let flush: Vec<DVec2> = steps.iter().filter(|(at, _)| is_flush(&sectors[*at])).map(|s| s.1).collect();
     let count = flush.len().max(1) as f64;
     let mean = flush.iter().sum::<DVec2>() / count;
@@ -268,13 +268,13 @@ pub(crate) fn hue_contrast(surfels: &[Surfel], one: &[usize], other: &[usize]) -
     spreads(m - n, u + v)
 }
 
-/// Returns the length of a difference of hues in spreads; light is part of the spread.
+/// Returns the length of a difference of hues in spreads, which include the effect of light.
 fn spreads(difference: DVec2, variance: DVec2) -> f64 {
     let variance = variance.max(DVec2::ZERO) + DVec2::splat(2.0 * LIGHT * LIGHT);
     (difference * difference / variance).element_sum().sqrt()
 }
 
-/// Ratios of the channels, as logarithms: shade changes them little.
+/// Logarithms of channel ratios: shade hardly changes them.
 fn hue(s: &Surfel) -> DVec2 {
     let [r, g, b] = s.color.map(|c| f64::from(c.max(8.0)).ln());
     DVec2::new(r - g, g - b)
@@ -284,7 +284,7 @@ pub(crate) fn share_around(offset: DVec2) -> f64 {
     offset.to_angle() / std::f64::consts::TAU + 0.5
 }
 
-/// Returns the sector, of `count` equal ones, that contains a share.
+/// Returns which of `count` equal sectors contains a share of the full turn.
 pub(crate) fn sector(share: f64, count: usize) -> usize {
     ((share * count as f64) as usize).min(count - 1)
 }

@@ -1,4 +1,4 @@
-//! Segments of a connected piece: patches that merge pairwise, and the evidence at their borders.
+//! Segments of a connected piece: patches that merge pairwise, with evidence at their borders.
 
 use super::balls::Ball;
 use super::fuse::{Neighbors, Surfel};
@@ -53,7 +53,8 @@ impl ColorMoments {
         self.squares += other.squares;
     }
 
-    /// Distance of the means in units of the spreads and of the effect of light alone (`light`, 8-bit levels).
+    /// Returns the distance of the means in units of the spreads and of the effect of light alone (`light`, 8-bit
+    /// levels).
     fn distance(&self, other: &Self, light: f64) -> f64 {
         let (m, n) = (self.sum / self.count.max(1.0), other.sum / other.count.max(1.0));
         let variance =
@@ -63,15 +64,15 @@ impl ColorMoments {
     }
 }
 
-/// Colours by facing: surfaces that face the same way are lit alike, so their colours may be compared.
+/// Colours by facing. Surfaces that face the same way are lit alike, so their colours are comparable.
 #[derive(Debug, Clone, Copy, Default)]
 struct FacingColors([ColorMoments; 6]);
 
 /// Change of colour by light, in levels, between surfaces that face the same way.
 const SAME_LIGHT: f64 = 15.0;
-/// The same between larger surfaces that do not.
+/// Change of colour by light between larger surfaces that face different ways.
 const OTHER_LIGHT: f64 = 40.0;
-/// Surfels of a patch, at most.
+/// Largest number of surfels of a patch.
 const FEW: f64 = 48.0;
 
 impl FacingColors {
@@ -79,17 +80,17 @@ impl FacingColors {
         self.0.iter_mut().zip(&other.0).for_each(|(a, b)| a.merge(b));
     }
 
-    /// Returns the distance of two looks; between patches, `light` changes the colour by that many levels.
+    /// Returns the distance between two sets of colours; between patches, `light` is the change of colour due to light.
     fn distance(&self, other: &Self, light: f64) -> f64 {
         let (own, others) = (self.whole(), other.whole());
-        // Patches beside each other are lit alike, whole segments are not.
+        // Adjacent patches are lit alike, whole segments are not.
         if own.count.min(others.count) < FEW {
             return own.distance(&others, light);
         }
         self.shared_distance(other).unwrap_or_else(|| own.distance(&others, OTHER_LIGHT))
     }
 
-    /// Distance of the colours of surfaces that face the same way, where there are enough of them.
+    /// Returns the distance of the colours of surfaces that face the same way, if there are enough of them.
     fn shared_distance(&self, other: &Self) -> Option<f64> {
         let (mut sum, mut weight) = (0.0, 0.0);
         for (a, b) in self.0.iter().zip(&other.0) {
@@ -119,7 +120,7 @@ pub(crate) struct PointMoments {
 
 impl Default for PointMoments {
     fn default() -> Self {
-        // A matrix is the identity by default.
+        // The default matrix is the identity.
         Self { count: 0.0, sum: DVec3::ZERO, squares: DMat3::ZERO }
     }
 }
@@ -137,27 +138,26 @@ impl PointMoments {
         self.squares += other.squares;
     }
 
-    /// The mean.
     pub(crate) fn center(&self) -> DVec3 {
         self.sum / self.count.max(1.0)
     }
 
-    /// Lengths, increasing, of the line, square or box whose points would be spread as much.
+    /// Returns the lengths, increasing, of a box with the same spread.
     pub(crate) fn extents(&self) -> [f64; 3] {
         symmetric_eigen(self.covariance()).0.map(|v| (12.0 * v.max(0.0)).sqrt())
     }
 
-    /// The direction in which the points are spread least.
+    /// Returns the direction of the smallest spread.
     pub(crate) fn normal(&self) -> DVec3 {
         symmetric_eigen(self.covariance()).1[0]
     }
 
-    /// The direction in which the points are spread most.
+    /// Returns the direction of the largest spread.
     pub(crate) fn axis(&self) -> DVec3 {
         symmetric_eigen(self.covariance()).1[2]
     }
 
-    /// Height of the box whose points would be spread as much vertically.
+    /// Returns the height of a box with the same vertical spread.
     pub(crate) fn height(&self) -> f64 {
         (12.0 * self.covariance().z_axis.z.max(0.0)).sqrt()
     }
@@ -172,40 +172,39 @@ impl PointMoments {
 pub(crate) struct Border {
     /// Number of pairs of neighbouring surfels across it.
     pub(crate) pairs: f64,
-    /// The same, weighted by how sharply each bends inwards (0 to 1).
+    /// Number of pairs, weighted by how sharply each bends inwards (0 to 1).
     pub(crate) crease: f64,
-    /// Number of pairs across a level seam with the first surfel above it, less the number with the second above
-    /// it.
+    /// Number of pairs across a level seam with the first surfel above it, minus the number with the second above it.
     pub(crate) over: f64,
-    /// Number of pairs of which one lies on a ball that the other does not.
+    /// Number of pairs with only one surfel on a ball.
     round: f64,
     /// Positions of the border.
     pub(crate) spread: PointMoments,
 }
 
 impl Border {
-    /// Whether it runs along a level seam.
+    /// Returns whether the border runs along a level seam.
     pub(crate) fn is_seam(&self) -> bool {
         2.0 * self.over.abs() > self.pairs
     }
 
-    /// Whether a ball ends there.
+    /// Returns whether a ball ends at the border.
     pub(crate) fn is_round(&self) -> bool {
         2.0 * self.round > self.pairs
     }
 
-    /// Whether larger-scale evidence says that two objects meet there.
+    /// Returns whether larger-scale evidence says that two objects meet at the border.
     fn is_parted(&self) -> bool {
         self.is_seam() || self.is_round()
     }
 
-    /// The border from the other side.
+    /// Returns the border seen from the other side.
     fn reversed(self) -> Self {
         Self { over: -self.over, ..self }
     }
 }
 
-/// Segments that merge pairwise, and their borders.
+/// Segments that merge pairwise, with their borders.
 #[derive(Clone)]
 pub(crate) struct Segments {
     members: Vec<Option<Vec<usize>>>,
@@ -213,11 +212,11 @@ pub(crate) struct Segments {
     spreads: Vec<PointMoments>,
     /// Sums of the normals.
     normals: Vec<DVec3>,
-    /// Borders of each segment, under both of its sides' numbers.
+    /// Borders of each segment; each border has an entry under both of its segments.
     borders: Vec<BTreeMap<usize, Border>>,
-    /// The patches from this one on are balls.
+    /// Patches from this index on are balls.
     first_ball: usize,
-    /// Grows with every merge of a segment.
+    /// Number of merges of each segment.
     stamps: Vec<u32>,
     /// The segment of each patch.
     roots: Vec<usize>,
@@ -225,7 +224,7 @@ pub(crate) struct Segments {
     patches: Vec<Vec<usize>>,
 }
 
-/// The score of a border in the queue of merges: the highest score first, then the first segments.
+/// Score of a border in the merge queue. The highest score comes first, then the first segments.
 #[derive(PartialEq)]
 struct Score(f64);
 
@@ -244,9 +243,9 @@ impl Ord for Score {
 }
 
 impl Segments {
-    /// One segment for each patch of a connected piece: the surfels of a cell of size `cell_m` that face one way.
-    /// Surfels nearer than `near_m` to each other are neighbours. Borders bend inwards from `crease_rad / 2` on,
-    /// and fully from three times that. No patch lies on both sides of one of the `seams`, and each of the `balls`
+    /// Makes one segment for each patch of a connected piece: the surfels of a cell of size `cell_m` that face one way.
+    /// Surfels closer than `near_m` to each other are neighbours. Borders begin to bend inwards at `crease_rad / 2`,
+    /// and bend fully at three times that. No patch lies on both sides of one of the `seams`, and each of the `balls`
     /// is one patch.
     pub(crate) fn patches(
         surfels: &[Surfel],
@@ -284,7 +283,7 @@ impl Segments {
             for (b, mut border) in one_sided {
                 let is_ball = b >= first_ball;
                 border.round = if is_ball { border.pairs } else { 0.0 };
-                // Outside of a ball everything bends inwards, and a ball has no facing.
+                // Outside of a ball everything bends inwards; a ball has no facing.
                 let bend = if is_ball { 1.0 } else { inward_bend(&patches[a], &patches[b], crease_rad) };
                 border.crease = border.pairs * bend;
                 borders[a].insert(b, border);
@@ -324,17 +323,17 @@ impl Segments {
         self.members[a].as_ref().map_or(0, Vec::len)
     }
 
-    /// Surfels of a segment; none once it has merged into another.
+    /// Surfels of a segment; empty once it was merged into another one.
     pub(crate) fn members(&self, a: usize) -> &[usize] {
         self.members[a].as_deref().unwrap_or_default()
     }
 
-    /// Whether one of a segment's patches is a ball.
+    /// Returns whether one of a segment's patches is a ball.
     fn holds_ball(&self, a: usize) -> bool {
         self.patches[a].iter().any(|&k| k >= self.first_ball)
     }
 
-    /// The segments that are left.
+    /// Returns the remaining segments.
     pub(crate) fn left(&self) -> Vec<usize> {
         (0..self.members.len()).filter(|&a| self.members[a].is_some()).collect()
     }
@@ -349,7 +348,7 @@ impl Segments {
         &self.spreads[a]
     }
 
-    /// The mean of a segment's normals, at most of length 1: shorter the more its normals vary.
+    /// Returns the mean of a segment's normals, of length 1 or less: shorter the more the normals vary.
     pub(crate) fn facing(&self, a: usize) -> DVec3 {
         self.normals[a] / self.size(a).max(1) as f64
     }
@@ -359,21 +358,22 @@ impl Segments {
         self.looks[a].distance(&self.looks[b], OTHER_LIGHT)
     }
 
-    /// Returns the difference between the colours of their surfaces that face the same way, in spreads; `None`
-    /// without such surfaces.
+    /// Returns the colour difference between the surfaces of two segments that face the same way, in spreads; `None` if
+    /// there are none.
     pub(crate) fn shared_contrast(&self, a: usize, b: usize) -> Option<f64> {
         self.looks[a].shared_distance(&self.looks[b])
     }
 
-    /// Pairs of neighbours across a border, in units of the smaller segment's length (its surfels' square root).
+    /// Number of neighbour pairs across a border, in units of the smaller segment's length (square root of its surfel
+    /// count).
     pub(crate) fn width(&self, a: usize, b: usize, border: &Border) -> f64 {
         border.pairs / (self.size(a).min(self.size(b)) as f64).sqrt()
     }
 
-    /// Merges locally convex segments of one colour, the border that bends inwards least first, until every border
-    /// bends by at least `crease_share`. `light` is the difference in colour between neighbouring patches that
-    /// light alone may cause, in 8-bit levels: the less, the more colours count. Segments connected by a thread,
-    /// the sides of a level seam, and balls stay apart.
+    /// Merges locally convex segments of one colour, starting with the border that bends inwards least, until every
+    /// border bends by at least `crease_share`. `light` is the colour difference between neighbouring patches that
+    /// light alone may cause, in 8-bit levels: a smaller value gives colour more weight. Segments connected by a
+    /// thread, the sides of a level seam, and balls stay apart.
     pub(crate) fn merge_convex(
         &mut self,
         crease_share: f64,
@@ -389,14 +389,14 @@ impl Segments {
         self.merge_while(score, 1.0 - crease_share);
     }
 
-    /// Merges the patches that two partitions both keep together.
+    /// Merges patches that both partitions keep together.
     pub(crate) fn merge_agreed(&mut self, one: &Self, other: &Self) {
         let group: Vec<(usize, usize)> = one.roots.iter().copied().zip(other.roots.iter().copied()).collect();
         let together = |a: usize, b: usize, border: &Border| group[a] == group[b] && !border.is_parted();
         self.merge_while(|_, a, b, border| if together(a, b, border) { 1.0 } else { 0.0 }, 0.0);
     }
 
-    /// Merges the pair whose border scores highest (the first of equals) until none scores above `least`.
+    /// Merges the pair with the highest border score (the first of equals) until no score is above `least`.
     pub(crate) fn merge_while(&mut self, score: impl Fn(&Self, usize, usize, &Border) -> f64, least: f64) {
         let mut queue = BinaryHeap::new();
         let push = |s: &Self, queue: &mut BinaryHeap<_>, a: usize, b: usize, border: &Border| {
@@ -421,10 +421,10 @@ impl Segments {
         }
     }
 
-    /// Merges segments that are too small into the neighbour with the longest border, smallest first. A ball is
-    /// never too small.
+    /// Merges segments that are too small into the neighbour with the longest border, smallest first. A ball is never
+    /// too small.
     pub(crate) fn merge_small(&mut self, is_small: impl Fn(&[usize]) -> bool) {
-        // A segment that is not small does not become small by growing.
+        // A segment that is large enough stays so as it grows.
         let mut open: std::collections::BTreeSet<(usize, usize)> = (0..self.members.len())
             .filter(|&a| !self.holds_ball(a) && self.members[a].as_ref().is_some_and(|m| is_small(m)))
             .map(|a| (self.size(a), a))
@@ -436,7 +436,7 @@ impl Segments {
             let longest = self.borders[a]
                 .iter()
                 .filter(|(_, border)| !border.is_seam())
-                // The remainder between a ball and its neighbour is not round.
+                // The border between a ball and the remaining surfels near it is not round.
                 .max_by(|x, y| {
                     let flat = (!x.1.is_round()).cmp(&!y.1.is_round());
                     flat.then(x.1.pairs.total_cmp(&y.1.pairs)).then(y.0.cmp(x.0))
@@ -481,7 +481,7 @@ impl Segments {
         }
     }
 
-    /// The members of each segment, sorted.
+    /// Returns the members of each segment, sorted.
     pub(crate) fn into_members(self) -> Vec<Vec<usize>> {
         let mut all: Vec<Vec<usize>> = self.members.into_iter().flatten().collect();
         all.iter_mut().for_each(|m| m.sort_unstable());
@@ -489,7 +489,7 @@ impl Segments {
     }
 }
 
-/// The patches of a piece, the balls last.
+/// Returns the patches of a piece, with balls last.
 fn patches(
     surfels: &[Surfel],
     piece: &[usize],
@@ -519,8 +519,7 @@ fn patches(
         .collect()
 }
 
-/// Returns 0 for borders that are flat or bend outwards, rising to 1 for inward bends of one and a half times the
-/// crease angle.
+/// s bends of one and a half times => bends of 1.5 times
 fn inward_bend(a: &SurfelPatch, b: &SurfelPatch, crease_rad: f64) -> f64 {
     let d = (a.p_w - b.p_w).normalize_or(DVec3::X);
     let angle = a.n_w.angle_between(b.n_w);

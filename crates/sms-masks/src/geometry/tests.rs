@@ -1,4 +1,4 @@
-//! Geometry against scenes with known masks.
+//! Segmentation by geometry on scenes with known masks.
 
 use super::*;
 use crate::fixture::{Sensor, Solid, best_iou, scene, table_scene};
@@ -12,7 +12,7 @@ fn segment(sequence: &Sequence) -> (Labels, Warnings) {
     (labels, warnings)
 }
 
-/// Asserts that every solid is found as one object with at least this overlap, and nothing else.
+/// Asserts that every solid is found as one object with at least this overlap, and nothing else is found.
 fn assert_found(solids: &[Solid], sensor: Sensor, least: f64) {
     let (sequence, truth) = scene(solids, sensor, 11);
     let began = std::time::Instant::now();
@@ -66,8 +66,8 @@ fn things_that_touch_side_by_side_are_separated() {
 #[test]
 fn a_ball_against_a_cup_is_another_thing() {
     let (cup, ball) = (0.045, 0.018);
-    // Most of the cup is visible inside and outside, so the ball is a detail by surface; without a search for balls
-    // it stays attached.
+    // Most of the cup is visible inside and outside, so the ball is a detail by surface. Without a search for balls it
+    // would stay attached.
     let solids = [
         Solid::Cup(DVec3::ZERO, cup, 0.11),
         Solid::Sphere(DVec3::new(0.6, -0.8, 0.0) * (cup + ball + 0.0005) + DVec3::Z * ball, ball),
@@ -77,7 +77,7 @@ fn a_ball_against_a_cup_is_another_thing() {
 
 #[test]
 fn a_marble_against_a_box_is_another_thing() {
-    // The marble shows less surface than other details.
+    // The marble has less surface than other details.
     let (side, marble) = (0.04, 0.015);
     let solids = [
         Solid::Box(DVec3::new(0.0, 0.0, side), DVec3::splat(side), 0.0),
@@ -89,7 +89,7 @@ fn a_marble_against_a_box_is_another_thing() {
 #[test]
 fn a_round_head_of_its_body_s_colour_stays_on() {
     let aside = |x: f64| Solid::Box(DVec3::new(x, 0.2, 0.03), DVec3::splat(0.03), 0.0);
-    // The sixth has the colour of the first.
+    // The sixth object has the colour of the first.
     let solids = [
         Solid::Sphere(DVec3::new(0.0, 0.0, 0.035), 0.035),
         aside(-0.2),
@@ -105,7 +105,7 @@ fn a_round_head_of_its_body_s_colour_stays_on() {
     assert_eq!(body, head);
 }
 
-/// A cube of 12 mm, a rod of 10 mm lying on the table, a book 10 mm thick.
+/// A cube of 12 mm, a rod of 10 mm on the table, and a book 10 mm thick.
 fn small_scene() -> Vec<Solid> {
     vec![
         Solid::Box(DVec3::new(0.08, -0.06, 0.006), DVec3::splat(0.006), 0.3),
@@ -114,8 +114,8 @@ fn small_scene() -> Vec<Solid> {
     ]
 }
 
-/// Asserts that each of the three is found in most of its pixels (a cube of 12 mm has nine in such an image), and
-/// nothing else, also after the refinement of edges.
+/// Asserts that each of the three objects is found in most of its pixels, and nothing else, also after the refinement
+/// of edges. A cube of 12 mm has nine pixels in such an image.
 fn assert_small_found(sensor: Sensor, least: [f64; 3]) {
     let (sequence, truth) = scene(&small_scene(), sensor, 100);
     let (labels, _) = segment(&sequence);
@@ -158,7 +158,7 @@ fn an_empty_table_has_no_objects_and_says_so() {
 
 #[test]
 fn a_plank_that_is_too_long_for_a_thing_is_named() {
-    // On a block, so that the table is visible past its rim.
+    // On a block, so that the table is visible beyond the block's rim.
     let solids = [
         Solid::Box(DVec3::new(0.0, 0.0, 0.05), DVec3::new(0.05, 0.05, 0.05), 0.0),
         Solid::Box(DVec3::new(0.0, 0.0, 0.11), DVec3::new(0.26, 0.1, 0.01), 0.3),
@@ -185,7 +185,7 @@ fn a_free_standing_assembly_may_be_longer_than_a_structure() {
         let labels = masks.segment(&sequence, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap();
         if labels.objects.is_empty() { 0.0 } else { best_iou(&truth, 1, &labels).0 }
     };
-    // 0.5 m is within one and a half times 0.38 m, and beyond that of 0.3 m.
+    // 0.5 m is less than 1.5 times 0.38 m, but more than 1.5 times 0.3 m.
     assert!(found(0.38) > 0.9);
     assert!(found(0.3) < 0.1);
 }
@@ -246,7 +246,7 @@ fn labels_do_not_depend_on_the_number_of_threads() {
     assert_eq!(with(1), with(2));
 }
 
-/// A closed box whose lid lies 12 mm below its rim is one thing, all of one colour.
+/// A closed box with a lid 12 mm below its rim, all of one colour, is one object.
 #[test]
 fn a_lid_within_its_rim_is_part_of_its_box() {
     let (half, rim, deep) = (DVec3::new(0.17, 0.13, 0.19), 0.008, 0.006);

@@ -23,7 +23,7 @@ fn overlap(a: &[LabelMap], a_id: u16, b: &[LabelMap], b_id: u16) -> (usize, usiz
     })
 }
 
-/// Returns the intersection over union of a given object with the label of most overlap.
+/// Returns the intersection over union of a given object with the label of largest overlap.
 fn best_overlap(given: &Labels, id: u16, found: &Labels) -> f64 {
     let ious = found.objects.iter().map(|o| {
         let (both, own, other) = overlap(&given.maps, id, &found.maps, o.id);
@@ -46,7 +46,7 @@ fn the_bottle_in_the_tilted_bin_is_an_object_of_its_own() {
     assert!((4..=40).contains(&found.objects.len()));
     let best = best_overlap(&given, 1, &found);
     println!("bin: the bottle is {best:.3}");
-    // The published masks are projected from a model, with borders off by a few pixels.
+    // The published masks are projected from a model; their borders are off by a few pixels.
     assert!(best > 0.6);
 }
 

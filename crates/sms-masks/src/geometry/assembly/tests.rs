@@ -1,4 +1,4 @@
-//! Assemblies of boxes with known bodies: which are free-standing, and the bodies they are split into.
+//! Assemblies of boxes with known bodies: tests which are free-standing and how they are split.
 
 use super::super::cluster::{bodies, join_legs};
 use super::super::fuse::coarsen;
@@ -6,7 +6,7 @@ use super::super::seams::level_seams;
 use super::*;
 use crate::voxels::key_of;
 
-/// A box of one body.
+/// A box that belongs to one body.
 #[derive(Debug, Clone, Copy)]
 struct Block {
     low: DVec3,
@@ -45,13 +45,13 @@ struct Cloud {
 }
 
 impl Cloud {
-    /// Faces that look down, surfaces within or between blocks, and points that `is_hidden` accepts are not
-    /// visible.
+    /// Returns the cloud without faces that look down, surfaces inside or between blocks, and points accepted by
+    /// `is_hidden`.
     fn of(blocks: &[Block], is_hidden: impl Fn(DVec3) -> bool) -> Self {
         let config = GeometryConfig::default();
         let cell = config.voxel_m;
         let mut found: BTreeMap<u64, (Surfel, usize)> = BTreeMap::new();
-        // Finer than the cells, whose samples are averaged: no row of cells is empty.
+        // Samples are finer than the cells and averaged, so that no row of cells is empty.
         let fine = 0.5 * cell;
         for b in blocks {
             for (axis, sign) in [(0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0), (2, 1.0)] {
@@ -69,7 +69,7 @@ impl Cloud {
                     if blocks.iter().any(is_inside) || is_hidden(p_w) {
                         continue;
                     }
-                    // Shading, and a pattern without edges.
+                    // Shading and a pattern without edges.
                     let shade = 1.0 + 0.08 * n_w.x as f32 + 0.05 * ((i / 2 + j / 2) % 2) as f32;
                     let color = b.color.map(|c| c * shade);
                     let none = Surfel {
@@ -103,7 +103,7 @@ impl Cloud {
         Self::of(blocks, |_| false)
     }
 
-    /// The bodies larger than crumbs: for each, the true body with the largest share of it, and that share.
+    /// Returns the bodies larger than crumbs: for each, the true body with the largest share of it, and that share.
     fn bodies(&self) -> Vec<(usize, f64)> {
         let all: Vec<usize> = (0..self.surfels.len()).collect();
         let mut found: Vec<(usize, f64)> = bodies(&self.surfels, &self.graph, &all, &self.config)
@@ -120,7 +120,7 @@ impl Cloud {
         found
     }
 
-    /// Asserts that these bodies are found, each of them once and nearly pure.
+    /// Asserts that these bodies are found, each once and nearly pure.
     fn assert_bodies(&self, expected: &[usize]) {
         let found = self.bodies();
         assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), expected, "{found:.2?}");
@@ -132,7 +132,7 @@ impl Cloud {
         level_seams(&self.surfels, &all, self.config.voxel_m)
     }
 
-    /// The free-standing assemblies on the ground at z = 0, in surfels.
+    /// Returns the free-standing assemblies on the ground at z = 0, as surfels.
     fn free_standing(&self, is_static: impl Fn(&Surfel) -> bool) -> Vec<Vec<usize>> {
         let (coarse, graph, parent) = coarsen(&self.surfels, 3.0 * self.config.voxel_m);
         let heights: Vec<f64> = coarse.iter().map(|s| s.p_w.z).collect();
@@ -152,7 +152,7 @@ fn a_table_and_the_box_on_it_are_two_bodies() {
     let mut blocks = table(0, [0.25, 0.18], 0.3, 0.02, 0.036);
     blocks.push(block(1, BLUE, [-0.1, -0.12, 0.3], [0.3, 0.12, 0.42]));
     Cloud::all_of(&blocks).assert_bodies(&[0, 1]);
-    // In one colour, too, there is a level inward crease all around.
+    // In one colour, there is still a level inward crease all around.
     blocks[5].color = WOOD;
     blocks[5].high.x = 0.2;
     Cloud::all_of(&blocks).assert_bodies(&[0, 1]);
@@ -162,11 +162,11 @@ fn a_table_and_the_box_on_it_are_two_bodies() {
 fn boxes_side_by_side_are_as_many_bodies_as_they_have_colours() {
     let mut blocks = [
         block(0, BLUE, [0.0, 0.0, 0.0], [0.2, 0.2, 0.4]),
-        // A step back, so that there is a crease.
+        // The block is set back, so that there is a crease.
         block(1, WOOD, [0.2, 0.03, 0.0], [0.4, 0.17, 0.3]),
     ];
     Cloud::all_of(&blocks).assert_bodies(&[0, 1]);
-    // In one colour, the two cannot be told from a cupboard with a step.
+    // In one colour, the two look like a cupboard with a step.
     blocks[1].color = BLUE;
     assert_eq!(Cloud::all_of(&blocks).bodies().len(), 1);
 }
@@ -199,10 +199,10 @@ fn a_board_over_a_rim_that_shows_in_pieces_lies_on_it() {
         block(0, GREEN, [-0.13, -0.11, 0.0], [0.13, 0.11, 0.4]),
         block(1, BLUE, [-0.13, -0.11, 0.4], [0.5, 0.11, 0.43]),
     ];
-    // Two sides, one of them partly hidden, as by the shade of the board.
+    // Two sides are visible, one of them partly hidden (shaded by the board).
     let is_hidden = |p: DVec3| (0.3..0.4).contains(&p.z) && (p.y > 0.0 || (-0.02..0.09).contains(&p.x));
     Cloud::of(&blocks, is_hidden).assert_bodies(&[0, 1]);
-    // In one colour, it may be a table's top on its legs.
+    // In one colour, the board may be a table top on its legs.
     blocks[0].color = BLUE;
     assert_eq!(Cloud::of(&blocks, is_hidden).bodies().len(), 1);
 }
@@ -224,7 +224,7 @@ fn a_rim_in_the_shade_is_part_of_its_bin() {
     assert!(strip.clone().count() > 200 && strip.clone().all(|i| bin.contains(&i)));
 }
 
-/// A stool, and on it a thin board that juts out far; their sides are flush, and at the back the seat shows.
+/// A stool under a thin board that juts out far. Their sides are flush, and the seat is visible at the back.
 fn board_on_stool(board: [f32; 3]) -> Vec<Block> {
     let mut blocks = table(0, [0.18, 0.18], 0.6, 0.02, 0.036);
     blocks.push(block(1, board, [-0.15, -0.18, 0.6], [0.7, 0.18, 0.612]));
@@ -233,9 +233,9 @@ fn board_on_stool(board: [f32; 3]) -> Vec<Block> {
 
 #[test]
 fn a_board_flush_with_a_stool_is_separated_by_its_hue() {
-    // Another wood, hardly darker: its hue steps everywhere along the sides.
+    // Wood of slightly darker colour: the hue steps everywhere along the sides.
     Cloud::all_of(&board_on_stool([205.0, 150.0, 92.0])).assert_bodies(&[0, 1]);
-    // In one colour, a ledge on one side of four is too little: a top that juts out over its stand has it, too.
+    // In one colour, a ledge on one side of four is not enough: a table top that juts out over its stand has one, too.
     assert_eq!(Cloud::all_of(&board_on_stool(WOOD)).bodies().len(), 1);
 }
 
@@ -245,7 +245,7 @@ fn a_board_of_its_stools_colour_is_separated_by_three_ledges() {
     (blocks[5].low.y, blocks[5].high.y) = (-0.16, 0.16);
     let cloud = Cloud::all_of(&blocks);
     cloud.assert_bodies(&[0, 1]);
-    // Surfels above a seam must be classified so: a board is hardly thicker than three of them.
+    // Surfels above a seam must be classified as above: a board is only about three of them thick.
     let all: Vec<usize> = (0..cloud.body.len()).collect();
     let found = bodies(&cloud.surfels, &cloud.graph, &all, &cloud.config);
     let board = found.iter().find(|m| m.len() > 60 && cloud.body[m[0]] == 1).unwrap();
@@ -255,7 +255,7 @@ fn a_board_of_its_stools_colour_is_separated_by_three_ledges() {
 
 #[test]
 fn a_top_with_a_lip_does_not_come_off() {
-    // A counter on a plinth of another wood: it juts out by less than a lip.
+    // A counter on a plinth of another wood juts out by less than a lip.
     let blocks = [
         block(0, WOOD, [-0.25, -0.2, 0.0], [0.25, 0.2, 0.5]),
         block(0, [205.0, 150.0, 92.0], [-0.25, -0.2, 0.5], [0.3, 0.2, 0.54]),
@@ -287,7 +287,7 @@ fn floating_segments_join_their_neighbour() {
     Cloud::all_of(&blocks).assert_bodies(&[0]);
 }
 
-/// A table under a tote that juts out over one side, and hides the upper ends of all legs and most of the top.
+/// A table under a tote that juts out over one side. The tote hides the upper ends of all legs and most of the top.
 fn hidden_table() -> Cloud {
     let mut blocks = table(0, [0.25, 0.18], 0.3, 0.02, 0.036);
     blocks.push(block(1, BLUE, [-0.21, -0.17, 0.3], [0.33, 0.17, 0.44]));
@@ -308,7 +308,7 @@ fn legs_whose_ends_are_hidden_join_the_lowest_thing_over_them() {
     for members in joined {
         assert!(members.iter().all(|&i| cloud.body[i] == cloud.body[members[0]]));
     }
-    // Where cameras look through the gap, the posts are separate things: bottles under the table.
+    // If cameras see through the gap, the posts are separate objects: bottles under the table.
     assert_eq!(join_legs(&cloud.surfels, objects, |_| true).len(), 6);
 }
 
