@@ -30,7 +30,12 @@ use sms_mesh::{
 };
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// s surface without a label => unlabelled surface
+/// Turns labelled Gaussians into bodies: one dynamic entity per label that was seen, and a static environment of all
+/// unlabelled surface (paper, Section "Materialize").
+///
+/// # Errors
+/// When labels and frames do not belong together, when a depth is invalid, and on interruption. Objects that cannot be
+/// built are left out with a warning.
 pub fn build_entities(
     model: &GaussianModel,
     sequence: &Sequence,

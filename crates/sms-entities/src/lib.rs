@@ -1,12 +1,19 @@
-//! s without islands and without those that the frames contradict, become an even, oriented surface cloud. => without
-//! islands and contradictions to the frames, become an even, oriented surface cloud. its support is found, labels that
-//! bled over the edge between the two are corrected, and the contact area that no camera saw is closed. => find its
-//! support, correct labels that bleed over the edge between the two, and close the unseen contact area. round objects
-//! become spheres, whatever they are called; boxes => round objects become spheres; boxes where one object stands on
-//! another, both get the level face that was seen or follows from the sides that were seen; overlapping => where one
-//! object stands on another, both get the level face that was seen or that follows from the seen sides; overlapping the
-//! unlabelled rest becomes => unlabelled surface becomes meshes get pictures from the frames => meshes get textures
-//! from the frames
+//! From Gaussians to objects: grouping, meshing, contact repair, textures (paper, Section "Materialize").
+//!
+//! [`build_entities`] takes the trained model, the frames it was trained on and their labels, and returns one dynamic
+//! [`sms_core::Entity`] per label and a static one for all unlabelled surface. Object by object:
+//!
+//! 1. `cloud`: the Gaussians classified as the object, without islands and contradictions to the frames, become an
+//!    even, oriented surface cloud.
+//! 2. `support`, `underside`: find its support, correct labels that bleed over the edge between the two, and close the
+//!    unseen contact area.
+//! 3. `recognise`: round objects become spheres; boxes and cylinders that explain the points replace the mesh.
+//! 4. `mesher`: the rest become closed meshes.
+//! 5. Crate `sms-mesh` splits meshes into convex parts for physics.
+//! 6. `level`, `contact`, `stack`, `lid`: where one object stands on another, both get the level face that was seen or
+//!    that follows from the seen sides; overlapping parts of different objects are cut apart, gaps are closed.
+//! 7. `environment`: unlabelled surface becomes a static triangle mesh.
+//! 8. `texture` ([`bake_textures`]): meshes get textures from the frames.
 
 mod body;
 mod build;

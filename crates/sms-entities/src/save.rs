@@ -35,7 +35,10 @@ struct EntityFile {
     mean_color: [u8; 3],
 }
 
-/// s into a folder of its name below `dir` => into a folder with its name in `dir`
+/// Writes every entity into a folder with its name in `dir`.
+///
+/// # Errors
+/// [`EntitiesError::Core`] when a file cannot be written.
 pub fn save_entities(dir: &Path, set: &EntitySet) -> Result<(), EntitiesError> {
     for entity in &set.entities {
         let folder = dir.join(&entity.name);

@@ -14,7 +14,13 @@ pub struct Completed {
     pub unknown: Option<usize>,
 }
 
-/// s , as far as `config` asks for it. => , as configured.
+/// Corrects the borders of masks ([`refine_edges`], with the paper's margin at the images' width) and adds missed
+/// objects ([`add_unknown`]), as configured.
+///
+/// The truth remains unchanged, and masks from geometry gain no objects.
+///
+/// # Errors
+/// As [`refine_edges`] and [`add_unknown`].
 pub fn complete(
     labels: Labels,
     sequence: &Sequence,

@@ -153,8 +153,7 @@ fn fits(have: (usize, usize), want: (usize, usize)) -> bool {
     have.0 > 0 && have.1 > 0 && (sx / sy - 1.0).abs() <= rounding
 }
 
-/// s target pixel x takes the source pixel at (x + 0.5)·scale. => target pixel x gets the source pixel at (x +
-/// 0.5)·scale.
+/// Resamples by nearest neighbour with pixel centres at +0.5: target pixel x gets the source pixel at (x + 0.5)·scale.
 pub(crate) fn resample_nearest(image: &LabelMap, (width, height): (usize, usize)) -> LabelMap {
     if image.size() == (width, height) {
         return image.clone();

@@ -1,5 +1,29 @@
-//! s the truth of a generated recording, for ablations only and named so. => the truth of a generated recording, for
-//! ablations only; labels are marked as truth.
+//! Object masks of a sequence: from files, from geometry, or from the truth of a generated scene.
+//!
+//! Every source is a [`Segmenter`]: it takes a posed RGB-D [`Sequence`] and returns [`Labels`], one label map per frame
+//! with the same id for the same object throughout. Pixels without a label are [`BACKGROUND`] and become a static
+//! collision mesh in a later stage.
+//!
+//! - [`FileMasks`]: label images of the recording.
+//! - [`GeometryMasks`]: the default. Large planes are removed from the fused cloud, the rest is clustered (and split
+//!   where two convex objects meet), and the clusters are projected back into every frame.
+//! - [`TruthMasks`]: the truth of a generated recording, for ablations only; labels are marked as truth.
+//!
+//! [`refine_edges`] is the paper's correction of mask borders by nearest neighbours in the back-projected cloud,
+//! [`add_unknown`] adds missed objects, and [`complete`] does both for the sources that need it. [`save_labels`] and
+//! [`load_labels`] keep labels in the run folder, where names may be edited and objects merged.
+//!
+//! ```
+//! use sms_core::{Cancel, StageContext, Warnings, glamx::DPose3};
+//! use sms_frames::Sequence;
+//! use sms_masks::{GeometryMasks, Segmenter};
+//! let empty = Sequence { frames: vec![], x_world_recording: DPose3::identity(), source: "nowhere".into() };
+//! let warnings = Warnings::new();
+//! let labels = GeometryMasks::default().segment(&empty, StageContext::quiet(&Cancel::new(), &warnings))?;
+//! assert!(labels.maps.is_empty() && labels.objects.is_empty());
+//! assert_eq!(warnings.snapshot()[0].code, "no_objects");
+//! # Ok::<(), sms_masks::MasksError>(())
+//! ```
 
 mod complete;
 mod error;

@@ -1,6 +1,7 @@
 //! Colours of labels in images.
 
-/// s so that neighbouring ids always differ; brightness => so that successive ids always differ; brightness
+/// Returns the colour of a label id, sRGB: dark grey for the background, then hues a golden ratio apart, so that
+/// successive ids always differ; brightness and saturation alternate in a cycle of four.
 pub fn label_color(id: u16) -> [u8; 3] {
     if id == sms_core::BACKGROUND {
         return [48, 48, 48];

@@ -44,11 +44,15 @@ struct Voter {
     color: [f32; 3],
 }
 
-/// s by a vote of its `k` nearest neighbours in the cloud back-projected from all frames, each weighted by the inverse
-/// of its distance. => by a vote of its `k` nearest neighbours in the cloud back-projected from all frames. A vote has
-/// the inverse of the distance as its weight. Beyond the paper, voters of the pixel's colour count more than others,
-/// which preserves right masks where depth is wrong at a silhouette. => In addition to the paper's method, voters with
+/// Relabels every pixel with depth within `margin_px` pixels of a mask edge by a vote of its `k` nearest neighbours in
+/// the cloud back-projected from all frames. A vote has the inverse of the distance as its weight. Pixels within the
+/// margin of their own frame's edges vote with a tenth of the weight. In addition to the paper's method, voters with
 /// the pixel's colour count more than others. This preserves correct masks where depth is wrong at a silhouette.
+///
+/// Pixels without depth keep their label. Labels, names and sizes remain unchanged.
+///
+/// # Errors
+/// [`MasksError::Input`] if labels and sequence differ in frames or sizes, or `k` is 0.
 pub fn refine_edges(
     labels: &Labels,
     sequence: &Sequence,

@@ -54,7 +54,13 @@ pub fn save_labels(dir: &Path, labels: &Labels) -> Result<(), MasksError> {
     Ok(())
 }
 
-/// s or runs in a circle => or is cyclic
+/// Reads the files written by [`save_labels`], and applies the user's edits of `labels.json`: names and descriptions
+/// are used as they are, an object with `"merge_into": "other"` becomes part of `other` (chains are followed) and its
+/// id is no longer used.
+///
+/// # Errors
+/// [`MasksError::Input`] naming the file if a name is not unique or unusable, a merge names an unknown object or is
+/// cyclic, a mask is missing, has another size, or contains a value that `labels.json` does not list.
 pub fn load_labels(dir: &Path) -> Result<Labels, MasksError> {
     let path = dir.join("labels.json");
     let file: LabelsFile = atomic::read_json(&path)?;

@@ -17,7 +17,8 @@ const FRAMES: usize = 40;
 /// ([`GeometryConfig::min_seen_share`]). They are named `unknown_01`, `unknown_02`, … and take only unlabelled pixels.
 /// Clusters that may belong to a labelled object or to the surroundings remain static background.
 ///
-/// # Errors [`MasksError::Input`] for invalid settings, [`MasksError::Core`] for interruption.
+/// # Errors
+/// [`MasksError::Input`] for invalid settings, [`MasksError::Core`] for interruption.
 pub fn add_unknown(
     labels: &Labels,
     sequence: &Sequence,

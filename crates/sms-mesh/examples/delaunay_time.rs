@@ -1,8 +1,8 @@
 //! Times the tetrahedralisation of points and prints the outcome as one line of JSON.
 //!
-//! `cargo run --release -p sms-mesh --example delaunay_time -- 20000 [OUT]`: random points near a sphere, as scans
-//! give them; `… -- IN.f64 [OUT]`: those of a file of raw little-endian f64, x y z. With OUT, the points go to
-//! `OUT.f64` and the tetrahedra to `OUT.u32` (raw little-endian u32, four indices into the points each).
+//! `cargo run --release -p sms-mesh --example delaunay_time -- 20000 [OUT]` uses random points near a sphere, like
+//! those of scans; `… -- IN.f64 [OUT]` reads raw little-endian f64, x y z. With OUT, the points are written to
+//! `OUT.f64` and the tetrahedra to `OUT.u32` (raw little-endian u32, four point indices each).
 
 use rand::RngExt;
 use sms_core::Seed;

@@ -1,8 +1,8 @@
-//! Cutting loose triangles by a plane.
+//! Cutting a set of triangles by a plane.
 
 use glamx::DVec3;
 
-/// The triangles below and above a plane, cut where they cross it.
+/// Returns the triangles below and above a plane, cut where they cross it.
 pub fn clip(triangles: &[[DVec3; 3]], n: DVec3, d: f64) -> (Vec<[DVec3; 3]>, Vec<[DVec3; 3]>) {
     let (mut below, mut above) = (Vec::new(), Vec::new());
     for t in triangles {
@@ -25,7 +25,7 @@ pub fn clip(triangles: &[[DVec3; 3]], n: DVec3, d: f64) -> (Vec<[DVec3; 3]>, Vec
                 high.push(t[i]);
             }
             if h[i] * h[j] < 0.0 {
-                // Cut from the lower corner upwards, so that the neighbour across the edge gets the same point.
+                // Interpolate from the lower corner upwards, so that the neighbour across the edge gets the same point.
                 let (a, b, ha, hb) =
                     if h[i] < 0.0 { (t[i], t[j], h[i], h[j]) } else { (t[j], t[i], h[j], h[i]) };
                 let cut = a + (b - a) * (ha / (ha - hb));

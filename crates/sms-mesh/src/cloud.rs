@@ -6,11 +6,11 @@ use crate::statistics::median;
 use glamx::DVec3;
 use sms_core::{Aabb, PointCloud};
 
-/// Returns the median distance to the nearest neighbour at another place, metres, scaled to the pitch of an even cover
-/// (random points lie half as far from their nearest as even ones); `None` where all points coincide.
+/// Returns the median distance to the nearest distinct neighbour, metres, scaled to the pitch of an even cover (random
+/// points have half the distance of even ones); `None` if all points coincide.
 pub fn measured_spacing(points: &[DVec3]) -> Option<f64> {
     let extents = Aabb::of_points(points.iter().copied())?.extents();
-    // A surface of n points: its box has about this pitch.
+    // Pitch of n points on a surface with this bounding box.
     let guess = (extents.length_squared() / points.len() as f64).sqrt();
     if !(guess > 0.0 && guess.is_finite()) {
         return None;
@@ -25,8 +25,8 @@ pub fn measured_spacing(points: &[DVec3]) -> Option<f64> {
     (!gaps.is_empty()).then(|| 2.0 * median(gaps))
 }
 
-/// Returns the indices of points that keep `distance` from each other, in order. Points on opposite sides of a thin
-/// wall are independent.
+/// Returns the indices of points that are at least `distance` apart, in order. Points on opposite sides of a thin wall
+/// are independent.
 pub fn thin(points: &[DVec3], normals: &[DVec3], distance: f64) -> Vec<usize> {
     const EMPTY: u32 = u32::MAX;
     let Some(bounds) = Aabb::of_points(points.iter().copied()) else { return Vec::new() };
@@ -34,7 +34,7 @@ pub fn thin(points: &[DVec3], normals: &[DVec3], distance: f64) -> Vec<usize> {
     while (bounds.extents() / cell + DVec3::splat(3.0)).to_array().iter().product::<f64>() > 4e6 {
         cell *= 1.5;
     }
-    // A rim of empty cells all round spares the bounds checks; kept points are chained within their cell.
+    // A border of empty cells avoids bounds checks; kept points are chained within their cell.
     let size = (bounds.extents() / cell).to_array().map(|v| v as usize + 3);
     let mut head = vec![EMPTY; size.iter().product()];
     let mut next = vec![EMPTY; points.len()];
@@ -68,7 +68,7 @@ pub fn thin(points: &[DVec3], normals: &[DVec3], distance: f64) -> Vec<usize> {
     kept
 }
 
-/// Replaces normals by local plane fits where the surroundings are flat, else by the mean of similar neighbours.
+/// Replaces normals by local plane fits in flat surroundings, else by the mean of similar neighbours.
 pub fn smooth_normals(cloud: &mut PointCloud, radius: f64) {
     let grid = PointGrid::new(&cloud.points_w, radius);
     let smoothed: Vec<DVec3> = (0..cloud.points_w.len())

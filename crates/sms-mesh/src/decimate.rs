@@ -1,20 +1,20 @@
-//! Decimation of closed meshes by quadric edge collapses (Garland and Heckbert 1997) that never change the topology: an
-//! edge is collapsed only where its ends share exactly the two neighbours opposite it (the link condition; Dey et al.
-//! 1999), so closed manifolds stay closed manifolds.
+//! Decimation of closed meshes by quadric edge collapses (Garland and Heckbert 1997) that never change the topology. An
+//! edge is collapsed only if its ends share exactly the two neighbours opposite the edge (the link condition; Dey et
+//! al. 1999), so closed manifolds stay closed manifolds.
 
 use glamx::{DMat3, DVec3};
 use sms_core::Mesh;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-/// A face's normal may turn by at most acos of this in one collapse.
+/// Smallest cosine between a face's normals before and after one collapse.
 const LEAST_TURN: f64 = 0.3;
-/// Least ratio of a face's height to its longest edge.
+/// Smallest ratio of a face's height to its longest edge.
 const LEAST_SLENDERNESS: f64 = 0.03;
-/// Weight of shape against distance: keeps faces of flat regions even.
+/// Weight of shape against distance: keeps faces regular in flat regions.
 const REGULARITY: f64 = 1e-3;
 
-/// Sum of squared distances to planes, weighted with area: `xᵀ A x + 2 bᵀ x + c`, about an origin near the mesh.
+/// Sum of squared distances to planes, weighted by area: `xᵀ A x + 2 bᵀ x + c`, about an origin near the mesh.
 #[derive(Debug, Clone, Copy, Default)]
 struct Quadric {
     a: [f64; 6],
@@ -34,7 +34,7 @@ impl Quadric {
         }
     }
 
-    /// Distance to a point, in all directions.
+    /// Squared distance to a point.
     fn point(p: DVec3, weight: f64) -> Self {
         let a = [weight, 0.0, 0.0, weight, 0.0, weight];
         Self { a, b: -p * weight, c: p.length_squared() * weight, weight: 0.0 }
@@ -59,7 +59,7 @@ impl Quadric {
         (p.dot(ap) + 2.0 * self.b.dot(p) + self.c).max(0.0)
     }
 
-    /// Where the sum is least, as far as the planes determine it.
+    /// Returns the minimum of the sum, as far as the planes determine it.
     fn minimum(&self) -> Option<DVec3> {
         let [xx, xy, xz, yy, yz, zz] = self.a;
         let m = DMat3::from_cols(DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz));
@@ -92,7 +92,7 @@ impl PartialOrd for EdgeCollapse {
     }
 }
 impl Ord for EdgeCollapse {
-    /// The cheapest is the greatest; edges break ties, so that the result does not depend on the heap.
+    /// The cheapest candidate is the greatest. Edges break ties, so that the result does not depend on the heap.
     fn cmp(&self, other: &Self) -> Ordering {
         other.cost.total_cmp(&self.cost).then(other.edge.cmp(&self.edge)).then(other.stamps.cmp(&self.stamps))
     }
@@ -109,8 +109,8 @@ struct Collapser {
     around: (Vec<u32>, Vec<u32>),
 }
 
-/// Collapses edges, the cheapest first, until `budget` faces are left or the next collapse would move the surface by
-/// more than `max_error` metres (root mean square over the area). Colours are dropped.
+/// Collapses edges, cheapest first, until `budget` faces are left or the next collapse would move the surface by more
+/// than `max_error` metres (root mean square over the area). Colours are dropped.
 pub fn decimate(mesh: &Mesh, budget: usize, max_error: f64) -> Mesh {
     if mesh.triangles.len() <= budget.max(4) {
         return mesh.clone();
@@ -214,7 +214,7 @@ impl Collapser {
         let common = near_a.iter().filter(|v| near_b.binary_search(v).is_ok()).count();
         let shared =
             self.faces_of[a as usize].iter().filter(|&&t| self.triangles[t as usize].contains(&b)).count();
-        // With fewer than four other neighbours the two sheets of a flat sliver would meet.
+        // With fewer than four other neighbours, the two sheets of a flat sliver would merge.
         let room = near_a.len() + near_b.len() >= 7;
         self.around = (near_a, near_b);
         if common != 2 || shared != 2 || !room {
@@ -297,7 +297,7 @@ mod tests {
         let small = decimate(&fine, 60, 1.0);
         assert!(small.is_closed_oriented() && small.triangles.len() <= 60);
         assert!((small.volume() / fine.volume() - 1.0).abs() < 0.005);
-        // An error limit stops it before.
+        // The error limit is reached before the face budget.
         let limited = decimate(&Mesh::icosphere(0.05, 4), 20, 1e-4);
         assert!(limited.triangles.len() > 300 && limited.is_closed_oriented());
     }

@@ -1,4 +1,4 @@
-//! Convex hulls on exact predicates, with a limit on their vertices.
+//! Convex hulls with exact predicates and a vertex limit.
 
 use crate::predicates::{collinear, orient};
 use glamx::DVec3;
@@ -17,9 +17,9 @@ struct GrowingFace {
     farthest: (f64, u32),
 }
 
-/// The convex hull of `points` as a closed mesh: quickhull (Barber, Dobkin and Huhdanpaa 1996) that always takes the
-/// point farthest outside next, and stops at `max_vertices` or when none is farther outside than `tolerance` metres.
-/// A hull that stopped early lies inside the exact one. `None` when the points lie in one plane.
+/// Returns the convex hull of `points` as a closed mesh: quickhull (Barber, Dobkin and Huhdanpaa 1996), which always
+/// adds the point farthest outside. It stops at `max_vertices`, or when no point is farther outside than `tolerance`
+/// metres. A hull that stopped early lies inside the exact one. Returns `None` when the points are coplanar.
 ///
 /// ```
 /// use sms_core::{Mesh, glamx::DVec3};
@@ -70,7 +70,7 @@ pub fn convex_hull(points: &[DVec3], max_vertices: usize, tolerance: f64) -> Opt
 
 const NO_FACE: u32 = u32::MAX;
 
-/// A positively oriented tetrahedron of far-apart points.
+/// Returns a positively oriented tetrahedron of far-apart points.
 fn extreme_simplex(points: &[DVec3]) -> Option<[u32; 4]> {
     let farthest = |measure: &dyn Fn(DVec3) -> f64| {
         (0..points.len()).max_by(|&i, &j| measure(points[i]).total_cmp(&measure(points[j])).then(j.cmp(&i)))
@@ -108,14 +108,15 @@ impl Hull<'_> {
         orient(a, b, c, self.points[point as usize]) > 0.0
     }
 
-    /// Whether a point lies in front of a face or in its plane. A face in whose plane the new point lies is replaced, too:
-    /// kept, its edge may be in line with the point, and a face without area, which nothing ever sees, would stay.
+    /// Returns whether a point lies in front of a face or in its plane. A face in the plane of the new point is also
+    /// replaced. Otherwise an edge in line with the point could create a face without area, which no point sees and
+    /// which would remain.
     fn sees_or_continues(&self, point: u32, face: u32) -> bool {
         let [a, b, c] = self.faces[face as usize].corners.map(|i| self.points[i as usize]);
         orient(a, b, c, self.points[point as usize]) >= 0.0
     }
 
-    /// Gives each point to the one of `faces` above which it lies highest; points that see none are inside.
+    /// Assigns each point to the face of `faces` that it is farthest above. Points that see no face are inside.
     fn assign(&mut self, points: &[u32], faces: &[u32]) {
         for &p in points {
             let at = self.points[p as usize];
@@ -159,7 +160,7 @@ impl Hull<'_> {
             }
         }
         let base = self.faces.len() as u32;
-        // Around the horizon each new face follows the one whose edge ends where its own begins.
+        // Around the horizon, each new face follows the face whose edge ends where its own edge begins.
         let mut starts = std::collections::BTreeMap::new();
         for (n, &(f, k, _)) in horizon.iter().enumerate() {
             starts.insert(self.edge(f, k).0, base + n as u32);

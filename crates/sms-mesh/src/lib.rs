@@ -2,7 +2,7 @@
 //!
 //! - [`convex_parts`]: approximate convex decomposition of a mesh (paper, Section "Materialize"); [`convex_hull`].
 //! - [`tetra`]: Delaunay tetrahedralisation, and rules that choose the tetrahedra of a solid.
-//! - [`fit_sphere`], [`fit_primitive`]: spheres, boxes and cylinders that explain a cloud.
+//! - [`fit_sphere`], [`fit_primitive`]: spheres, boxes and cylinders fitted to a cloud.
 //! - [`outline`]: convex polygons in the plane.
 //! - [`Tsdf`]: fusion of depth images. [`decimate`], [`simplify`], [`taubin`]: fewer faces, smoother ones.
 //! - [`cloud`], [`PointGrid`], [`Plane`]: point clouds, neighbour queries, planes.

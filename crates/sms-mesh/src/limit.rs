@@ -4,11 +4,11 @@ use crate::hull::convex_hull;
 use glamx::DVec3;
 use sms_core::{Aabb, Mesh};
 
-/// The hull of `points` with at most `max_vertices` vertices and nearly the exact hull's volume.
+/// Returns the hull of `points` with at most `max_vertices` vertices and nearly the exact hull's volume.
 ///
-/// A hull on fewer of the vertices lies inside the exact one and would lose up to a tenth of a round part's volume. It
-/// is therefore swelled about its middle until the volumes agree, but not out of the exact hull's box: parts still stand
-/// on the ground that they stood on. `None` when the points lie in one plane.
+/// A hull of fewer vertices lies inside the exact hull and would lose up to a tenth of the volume of a round part. It
+/// is therefore scaled up about its centre until the volumes agree, but kept inside the bounding box of the exact hull,
+/// so that parts still stand on the ground. Returns `None` when the points are coplanar.
 ///
 /// ```
 /// use sms_core::{Mesh, glamx::DVec3};
@@ -49,11 +49,11 @@ pub fn limited_hull(points: &[DVec3], max_vertices: usize) -> Option<Mesh> {
 
 const ROUNDS: usize = 8;
 
-/// Volumes agree when the lengths do to this share.
+/// Relative tolerance of lengths at which volumes count as equal.
 const CLOSE: f64 = 5e-4;
 
-/// Largest swelling of one round.
+/// Largest scale of one round.
 const MOST: f64 = 1.05;
 
-/// Points farther out than this, in longest sides, are corners: nearer ones only make faces of no width.
+/// Smallest distance of a corner outside the hull, in longest sides. Closer points would only make faces without area.
 const SLIGHT: f64 = 1e-6;

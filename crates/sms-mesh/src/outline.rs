@@ -3,7 +3,7 @@
 use crate::plane::Plane;
 use glamx::{DVec2, DVec3};
 
-/// Returns the convex outline of points, counter-clockwise. Fewer than three corners where points lie on a line.
+/// Returns the convex outline of points, counter-clockwise. Fewer than three corners if the points are collinear.
 pub fn convex_outline(points: &[DVec2]) -> Vec<DVec2> {
     let mut points = points.to_vec();
     sort(&mut points, |p| *p);
@@ -11,15 +11,15 @@ pub fn convex_outline(points: &[DVec2]) -> Vec<DVec2> {
     monotone_chain(&points, |p| *p, 0.0)
 }
 
-/// Returns the convex outline of points, counter-clockwise, without points nearer than `nearest` to the one before them
-/// and without corners whose triangle with their neighbours has at most half of `flat` for its area.
+/// Returns the convex outline of points, counter-clockwise. Omits points closer than `nearest` to the one before them,
+/// and corners whose triangle with both neighbours has an area of at most half of `flat`.
 pub fn convex_outline_of_noisy(mut points: Vec<DVec2>, nearest: f64, flat: f64) -> Vec<DVec2> {
     sort(&mut points, |p| *p);
     points.dedup_by(|a, b| a.distance_squared(*b) < nearest * nearest);
     monotone_chain(&points, |p| *p, flat)
 }
 
-/// Sorts points by x, then y, as [`monotone_chain`] wants them.
+/// Sorts points by x, then y, for [`monotone_chain`].
 pub(crate) fn sort<T>(points: &mut [T], at: impl Fn(&T) -> DVec2) {
     points.sort_by(|a, b| at(a).x.total_cmp(&at(b).x).then(at(a).y.total_cmp(&at(b).y)));
 }
@@ -54,7 +54,7 @@ pub fn outline_of(points: impl Iterator<Item = DVec3>) -> Vec<DVec2> {
     convex_outline(&points.map(DVec3::truncate).collect::<Vec<_>>())
 }
 
-/// Whether a point lies within an outline, or at most `margin` (metres) outside one of its sides.
+/// Returns whether a point lies within an outline, or at most `margin` (metres) outside one of its sides.
 pub fn is_within(outline: &[DVec2], p: DVec2, margin: f64) -> bool {
     let is_left = |i: usize| {
         let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
@@ -63,7 +63,7 @@ pub fn is_within(outline: &[DVec2], p: DVec2, margin: f64) -> bool {
     outline.len() >= 3 && (0..outline.len()).all(is_left)
 }
 
-/// Returns the least width of a convex outline, metres; 0 where it has no area.
+/// Returns the smallest width of a convex outline, metres; 0 if it has no area.
 pub fn width(outline: &[DVec2]) -> f64 {
     if outline.len() < 3 {
         return 0.0;
@@ -76,12 +76,13 @@ pub fn width(outline: &[DVec2]) -> f64 {
     (0..outline.len()).map(across).fold(f64::INFINITY, f64::min)
 }
 
-/// Area of a convex outline, square metres.
+/// Returns the area of a convex outline, square metres.
 pub fn area(outline: &[DVec2]) -> f64 {
     (0..outline.len()).map(|i| 0.5 * outline[i].perp_dot(outline[(i + 1) % outline.len()])).sum()
 }
 
-/// Whether two convex outlines have a point in common. Outlines of one or two corners count as points and lines.
+/// Returns whether two convex outlines have a point in common. Outlines of one or two corners count as points and
+/// lines.
 pub fn meet(a: &[DVec2], b: &[DVec2]) -> bool {
     let parted_by = |p: &[DVec2], q: &[DVec2]| {
         (0..p.len()).any(|i| {
@@ -92,7 +93,7 @@ pub fn meet(a: &[DVec2], b: &[DVec2]) -> bool {
     !a.is_empty() && !b.is_empty() && !parted_by(a, b) && !parted_by(b, a)
 }
 
-/// Returns the corners of the intersection of two convex outlines; none where one has fewer than three corners.
+/// Returns the corners of the intersection of two convex outlines; none if one has fewer than three corners.
 pub fn common(a: &[DVec2], b: &[DVec2]) -> Vec<DVec2> {
     if a.len() < 3 || b.len() < 3 { Vec::new() } else { clipped(a, b) }
 }
@@ -119,8 +120,8 @@ pub fn clipped(subject: &[DVec2], window: &[DVec2]) -> Vec<DVec2> {
     left
 }
 
-/// Returns the convex outline, grown by `margin`, of the points less than `band` above a plane. It lies on the plane,
-/// counter-clockwise seen from its normal.
+/// Returns the convex outline, grown by `margin`, of the points less than `band` above a plane. The outline lies on the
+/// plane, counter-clockwise around its normal.
 pub fn outline_on_plane(points: &[DVec3], plane: &Plane, band: f64, margin: f64) -> Vec<DVec3> {
     let u = plane.normal.any_orthonormal_vector();
     let v = plane.normal.cross(u);
@@ -136,7 +137,7 @@ pub fn outline_on_plane(points: &[DVec3], plane: &Plane, band: f64, margin: f64)
     convex_outline(&grown).iter().map(|p| u * p.x + v * p.y + plane.normal * plane.offset).collect()
 }
 
-/// Whether `p` lies over the convex outline, seen along the plane's normal.
+/// Returns whether `p` lies above the convex outline, seen along the plane's normal.
 pub fn is_over(outline: &[DVec3], plane: &Plane, p: DVec3) -> bool {
     (0..outline.len()).all(|i| {
         let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
@@ -194,10 +195,10 @@ mod tests {
         assert!(!meet(&unit, &square(2.5, 0.0, 1.0)));
         assert!(!meet(&unit, &[]));
         assert!(meet(&unit, &[DVec2::ZERO]) && !meet(&unit, &[far]));
-        // A line that passes the corner (1, 1), and one that cuts it off.
+        // A line that passes the corner (1, 1), and one that cuts the corner off.
         let across = |reach: f64| [DVec2::new(reach, 0.0), DVec2::new(0.0, reach)];
         assert!(!meet(&unit, &across(2.1)) && meet(&unit, &across(1.9)));
-        // Neither of two crossing strips has a corner in the other one.
+        // Neither of two crossing strips has a corner inside the other.
         let strip = |x: f64, y: f64| unit.map(|p| p * DVec2::new(x, y));
         assert!(meet(&strip(3.0, 0.1), &strip(0.1, 3.0)));
     }

@@ -23,7 +23,7 @@ pub fn principal_axes(moments: DMat3) -> Option<([f64; 3], [DVec3; 3])> {
     if !(size > 0.0 && size.is_finite()) {
         return None;
     }
-    // Moments in square metres are tiny: the solver's own thresholds want numbers near one.
+    // Moments in square metres are tiny, but the solver's thresholds assume numbers near one.
     let eigen = glamx::DSymmetricEigen3::new(moments * (1.0 / size));
     let axes = [eigen.eigenvectors.x_axis, eigen.eigenvectors.y_axis, eigen.eigenvectors.z_axis];
     let values = (eigen.eigenvalues * size).to_array();

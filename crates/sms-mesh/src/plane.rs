@@ -28,7 +28,7 @@ impl Plane {
         p - self.normal * self.height(p)
     }
 
-    /// Fits a plane to points by total least squares, with its normal up; `None` where they do not span one.
+    /// Fits a plane to points by total least squares, with its normal up; `None` if they do not span a plane.
     pub fn least_squares(points: &[DVec3]) -> Option<Self> {
         let (moments, mean) = scatter(points.iter().map(|&p| (p, 1.0)))?;
         let normal = principal_axes(moments)?.1[0];

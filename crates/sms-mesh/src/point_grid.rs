@@ -1,4 +1,4 @@
-//! Neighbour queries on a uniform grid; answers are ordered by distance, then index, whatever the degeneracy.
+//! Neighbour queries on a uniform grid. Results are ordered by distance, then index, even in degenerate cases.
 
 use glamx::DVec3;
 
@@ -14,7 +14,7 @@ pub struct PointGrid<'a> {
 }
 
 impl<'a> PointGrid<'a> {
-    /// Sorts points into cells of about `cell` metres (coarser where that would need too many).
+    /// Sorts points into cells of about `cell` metres (coarser if there would be too many).
     pub fn new(points: &'a [DVec3], cell: f64) -> Self {
         let bounds = sms_core::Aabb::of_points(points.iter().copied())
             .unwrap_or(sms_core::Aabb { min: DVec3::ZERO, max: DVec3::ZERO });
@@ -84,7 +84,7 @@ impl<'a> PointGrid<'a> {
         found
     }
 
-    /// Whether any point is within `radius`.
+    /// Returns whether any point is within `radius`.
     pub fn is_near(&self, p: DVec3, radius: f64) -> bool {
         if self.points.is_empty() {
             return false;
@@ -102,7 +102,7 @@ impl<'a> PointGrid<'a> {
         })
     }
 
-    /// Upper bound of the distance to any point.
+    /// Returns an upper bound of the distance to any point.
     fn reach(&self, p: DVec3) -> f64 {
         (0..3)
             .map(|a| {
@@ -112,7 +112,7 @@ impl<'a> PointGrid<'a> {
             * 2.0
     }
 
-    /// Returns the `k` nearest points, nearest first; fewer only when there are fewer.
+    /// Returns the `k` nearest points, nearest first, or all if there are fewer.
     pub fn nearest_k(&self, p: DVec3, k: usize) -> Vec<(f64, usize)> {
         let reach = self.reach(p);
         let mut radius = self.cell;

@@ -1,4 +1,4 @@
-//! Exact orientation and in-sphere tests on [`DVec3`], with the signs this crate uses throughout.
+//! Exact orientation and in-sphere tests on [`DVec3`], with the sign conventions of this crate.
 
 use glamx::DVec3;
 use robust::Coord3D;
@@ -7,13 +7,13 @@ fn coord(p: DVec3) -> Coord3D<f64> {
     Coord3D { x: p.x, y: p.y, z: p.z }
 }
 
-/// Sign of the volume of tetrahedron (a, b, c, d): positive when `d` lies on the side to which the normal
-/// (b − a) × (c − a) points. Zero exactly when the four points are coplanar.
+/// Returns the sign of the volume of tetrahedron (a, b, c, d): positive when `d` lies on the side of the normal (b − a)
+/// × (c − a). It is zero exactly when the four points are coplanar.
 pub(crate) fn orient(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     -robust::orient3d(coord(a), coord(b), coord(c), coord(d))
 }
 
-/// Whether three points lie exactly on a line.
+/// Returns whether three points are exactly collinear.
 pub(crate) fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
     let flat = |i: usize, j: usize| {
         let at = |p: DVec3| robust::Coord { x: p[i], y: p[j] };
@@ -22,9 +22,10 @@ pub(crate) fn collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
     flat(0, 1) && flat(1, 2) && flat(2, 0)
 }
 
-/// Positive when `e` lies strictly inside the circumsphere of the positively oriented tetrahedron (a, b, c, d).
+/// Returns a positive value when `e` lies strictly inside the circumsphere of the positively oriented tetrahedron (a,
+/// b, c, d).
 pub(crate) fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
-    // The library's convention wants the opposite orientation, hence the swap of the first two corners.
+    // The library uses the opposite orientation, hence the swap of the first two corners.
     robust::insphere(coord(b), coord(a), coord(c), coord(d), coord(e))
 }
 

@@ -32,12 +32,12 @@ pub fn taubin(mesh: &mut Mesh, fixed: &[bool], iterations: usize, limit: f64) {
     }
 }
 
-/// Simplifies an open mesh (crate `meshopt`): quadric collapses down to `target` faces as long as the surface moves by
-/// at most `max_error` metres.
+/// Simplifies an open mesh (crate `meshopt`): quadric collapses down to `target` faces that move the surface by at most
+/// `max_error` metres.
 pub fn simplify(mesh: &Mesh, target: usize, max_error: f64) -> Mesh {
     let Some(bounds) = mesh.aabb() else { return mesh.clone() };
-    // Single precision is ample once the mesh is near the origin.
-    // Vertices of different sheets at one place would be welded: a micrometre keeps them apart.
+    // Single precision is sufficient once the mesh is near the origin. Vertices of different sheets at one place would
+    // be welded: an offset of a micrometre keeps them apart.
     let mut order: Vec<usize> = (0..mesh.vertices.len()).collect();
     let key = |i: usize| mesh.vertices[i].to_array();
     order.sort_by(|&a, &b| key(a).partial_cmp(&key(b)).unwrap_or(std::cmp::Ordering::Equal).then(a.cmp(&b)));

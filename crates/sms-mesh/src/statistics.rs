@@ -1,4 +1,4 @@
-//! Order statistics that are 0 where there are no values.
+//! Order statistics that are 0 for an empty list.
 
 use sms_core::{QuantileRule, quantile as core_quantile};
 

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 const SIDE: i32 = 8;
 const COUNT: usize = (SIDE * SIDE * SIDE) as usize;
-/// Frames that must agree on a sample before it carries surface.
+/// Smallest number of agreeing frames for a sample that carries surface.
 const MIN_WEIGHT: f32 = 2.0;
 
 struct VoxelBlock {
@@ -27,11 +27,11 @@ pub struct Tsdf {
 /// Use of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PixelUse {
-    /// None.
+    /// The pixel is not used.
     Unusable,
     /// Free space up to its depth.
     FreeOnly,
-    /// Free space up to its depth, and the surface there.
+    /// Free space up to its depth, and the surface at its depth.
     Surface,
 }
 
@@ -46,7 +46,7 @@ pub struct TsdfFrame<'a> {
 }
 
 impl Tsdf {
-    /// Fuses the frames' pixels within `region`; points that `skip` accepts open no block of their own.
+    /// Fuses the frames' pixels within `region`. Points accepted by `skip` do not create blocks.
     pub fn fuse(frames: &[TsdfFrame], region: &Aabb, voxel: f64, skip: impl Fn(DVec3) -> bool) -> Self {
         let mut index = BTreeMap::new();
         let size = voxel * f64::from(SIDE);
@@ -86,7 +86,7 @@ impl Tsdf {
         let mut mesh = Mesh::default();
         let mut vertex_on: BTreeMap<(u64, u64), u32> = BTreeMap::new();
         for block in &self.blocks {
-            // The far corners of a block's last cells belong to its neighbours.
+            // The far corners of a block's last cells belong to neighbouring blocks.
             let near: [Option<&VoxelBlock>; 8] = std::array::from_fn(|k| {
                 let at = std::array::from_fn(|a| block.at[a] + (k as i32 >> a & 1));
                 self.index.get(&at).map(|&i| &self.blocks[i])
@@ -139,7 +139,7 @@ impl Tsdf {
                 (mesh.vertices.len() - 1) as u32
             })
         };
-        // Six tetrahedra along the cell's diagonal (Kuhn): neighbours cut their shared faces alike.
+        // Six tetrahedra along the cell's diagonal (Kuhn): neighbouring cells split their shared face in the same way.
         for [a, b] in [[0, 1], [0, 2], [1, 0], [1, 2], [2, 0], [2, 1]] {
             let tet = [0usize, 1 << a, 1 << a | 1 << b, 7];
             let (solid, free): (Vec<usize>, Vec<usize>) = tet.iter().partition(|&&k| value[k] < 0.0);
@@ -179,7 +179,7 @@ fn integrate(block: &mut VoxelBlock, frames: &[TsdfFrame], voxel: f64) {
         if outside || z < radius {
             continue;
         }
-        // The camera is affine in the voxel's indices before the division.
+        // Before the division, camera coordinates are affine in the voxel indices.
         let x_cw = camera.x_wc.inverse();
         let origin = x_cw.transform_point(base);
         let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|a| x_cw.rotation * a * voxel);

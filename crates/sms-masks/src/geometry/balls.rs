@@ -135,7 +135,8 @@ impl Sphere {
 /// From every [`STRIDE`]-th surfel, a sphere is fitted to two rings of neighbours, then four times to all connected
 /// surfels on the sphere. A fit that is round within noise and shows [`COVERED`] of its surface is a ball.
 ///
-/// # Errors [`CoreError::Interrupted`] once a stop was requested.
+/// # Errors
+/// [`CoreError::Interrupted`] once a stop was requested.
 pub(crate) fn balls(
     surfels: &[Surfel],
     graph: &Neighbors,

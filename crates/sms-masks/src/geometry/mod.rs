@@ -1,8 +1,13 @@
-//! s the rest is split into connected pieces; pieces are split where two convex objects meet ([`segments`]) and around
-//! balls ([`balls`]), assemblies where one object stands on another; posts join their loads; pieces that cannot be
-//! objects become background. => the rest is split into connected pieces. Pieces are split where two convex objects
-//! meet ([`segments`]) and around balls ([`balls`]); assemblies are split where one object stands on another. Posts
-//! join their loads. Pieces that cannot be objects become background.
+//! Objects from geometry alone: large planes are removed, the rest is clustered, and clusters are projected into every
+//! frame.
+//!
+//! 1. [`fuse`]: all frames become one cloud of surfels, without points that other frames see through.
+//! 2. [`planes`]: planar pieces too large to be a face of an object (floor, desk, walls) are static, except in
+//!    assemblies that stand free on the ground as a whole ([`assembly`]: furniture, containers, their loads).
+//! 3. [`cluster`]: the rest is split into connected pieces. Pieces are split where two convex objects meet
+//!    ([`segments`]) and around balls ([`balls`]); assemblies are split where one object stands on another. Posts join
+//!    their loads. Pieces that cannot be objects become background.
+//! 4. [`project`]: each pixel takes the label of the surfels visible in it.
 
 mod assembly;
 mod balls;

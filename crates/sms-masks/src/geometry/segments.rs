@@ -519,7 +519,7 @@ fn patches(
         .collect()
 }
 
-/// s bends of one and a half times => bends of 1.5 times
+/// Returns 0 for borders that are flat or bend outwards, rising to 1 for inward bends of 1.5 times the crease angle.
 fn inward_bend(a: &SurfelPatch, b: &SurfelPatch, crease_rad: f64) -> f64 {
     let d = (a.p_w - b.p_w).normalize_or(DVec3::X);
     let angle = a.n_w.angle_between(b.n_w);

@@ -1,4 +1,4 @@
-//! Decompositions kept on disk.
+//! Decompositions cached on disk.
 
 use crate::convex::config::ConvexConfig;
 use crate::convex::parts::convex_parts;
@@ -6,12 +6,12 @@ use serde::{Deserialize, Serialize};
 use sms_core::{Hash, Hasher, Mesh, atomic, hash_serializable};
 use std::path::Path;
 
-/// Counts changes of the algorithm: decompositions of other versions are not used.
+/// Version of the algorithm: decompositions of other versions are not used.
 const VERSION: u32 = 2;
 
 #[derive(Serialize, Deserialize)]
 struct Stored {
-    /// Hash of `parts`: a damaged file is noticed even where it still is JSON.
+    /// Hash of `parts`: detects a damaged file that is still valid JSON.
     check: Hash,
     parts: Vec<Mesh>,
 }
@@ -25,9 +25,9 @@ fn key(mesh: &Mesh, config: &ConvexConfig) -> Hash {
     hasher.bytes(&points).bytes(&triangles).finish()
 }
 
-/// Returns [`convex_parts`], read from the folder `cache` (created when missing) where the same mesh was decomposed
-/// with the same settings before. A damaged or foreign file is computed again; a cache that cannot be written costs
-/// only time.
+/// Returns [`convex_parts`], or the result cached in the folder `cache` for the same mesh and settings. The folder is
+/// created if missing. A damaged or foreign file is replaced by a new result, and failure to write the cache is
+/// ignored.
 pub fn convex_parts_cached(mesh: &Mesh, config: &ConvexConfig, cache: Option<&Path>) -> Vec<Mesh> {
     let Some(cache) = cache else { return convex_parts(mesh, config) };
     let path = cache.join(format!("{}.json", key(mesh, config).0));
@@ -58,7 +58,7 @@ mod tests {
         let file = std::fs::read_dir(&cache).unwrap().next().unwrap().unwrap().path();
         let text = std::fs::read_to_string(&file).unwrap();
         assert_eq!(convex_parts_cached(&mesh, &config, Some(&cache)), first);
-        // A file that claims other parts is believed only when its hash agrees.
+        // A file with changed parts is used only if its hash agrees.
         let box_parts = vec![Mesh::cuboid(DVec3::ONE)];
         atomic::write_json(&file, &Stored { check: hash_serializable(&box_parts), parts: box_parts.clone() })
             .unwrap();
@@ -68,7 +68,7 @@ mod tests {
             assert_eq!(convex_parts_cached(&mesh, &config, Some(&cache)), first);
             assert_eq!(std::fs::read_to_string(&file).unwrap(), text);
         }
-        // Another mesh or setting has a file of its own.
+        // Another mesh or setting has a separate file.
         convex_parts_cached(&mesh, &ConvexConfig { max_vertices: 32, ..config }, Some(&cache));
         convex_parts_cached(&Mesh::icosphere(0.0372, 2), &ConvexConfig::default(), Some(&cache));
         assert_eq!(std::fs::read_dir(&cache).unwrap().count(), 3);

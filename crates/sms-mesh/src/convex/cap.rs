@@ -1,10 +1,10 @@
 //! Caps: the flat regions that close a cut.
 //!
-//! Only the region's signed boundary is kept, as edges with whole weights; a fan from any point of the plane to them has
-//! the region's signed volume, however tangled the outline is. Cutting the region again clips the edges and closes them
-//! along the line in which the two planes meet. On a line the chain with given ends is unique: there is nothing to
-//! triangulate, and a cap has about as many edges as the outlines that bound it. (Fans that are clipped triangle by
-//! triangle double with every cut that passes near their apex; a tangled mesh's fifteen levels made half a million.)
+//! Only the signed boundary of the region is kept, as edges with integer weights. A fan from any point of the plane to
+//! these edges has the region's signed area, even if the outline intersects itself. Cutting the region again clips the
+//! edges and closes them along the line where the two planes meet. On a line the chain with given ends is unique. So
+//! nothing is triangulated, and a cap has about as many edges as its outlines. (Fans clipped triangle by triangle would
+//! double with every cut near their apex: fifteen levels of a tangled mesh made half a million.)
 
 use crate::convex::piece::six_volume;
 use crate::plane::Plane;
@@ -14,9 +14,9 @@ use glamx::DVec3;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Edge {
     pub(crate) ends: [DVec3; 2],
-    /// How often it is passed in this direction.
+    /// Number of times the edge is passed in this direction.
     pub(crate) weight: i32,
-    /// Whether it lies where two cuts meet, and not on the surface.
+    /// Whether the edge lies where two cuts meet, instead of on the surface.
     pub(crate) is_inner: bool,
 }
 
@@ -29,7 +29,7 @@ impl Edge {
 /// A cap of a piece.
 #[derive(Debug, Clone)]
 pub(crate) struct Cap {
-    /// Normal of its plane, out of the piece.
+    /// Outward normal of the cap's plane.
     pub(crate) normal: DVec3,
     pub(crate) edges: Vec<Edge>,
 }
@@ -42,8 +42,8 @@ impl Cap {
         self.edges.iter().map(|e| f64::from(e.weight) * six_volume([apex, e.ends[0], e.ends[1]])).sum()
     }
 
-    /// Splits the cap by a plane: the parts below and above go to `sides`, and edges that the lower side gains in the
-    /// plane to `outline`. Points within `hair` of the plane lie in it.
+    /// Splits the cap by a plane. The parts below and above are added to `sides`, and the edges that the lower side
+    /// gains in the plane to `outline`. Points within `hair` of the plane count as in the plane.
     pub(crate) fn split(&self, plane: Plane, hair: f64, sides: [&mut Vec<Cap>; 2], outline: &mut Vec<Edge>) {
         let mut halves = [(); 2].map(|()| Half::default());
         for e in &self.edges {
@@ -61,7 +61,7 @@ impl Cap {
             }
         }
         if halves.iter().all(|h| h.edges.is_empty()) {
-            // All in the plane: as a face there, it belongs to its material's side.
+            // The whole cap lies in the plane and belongs to the side of its material.
             let is_low = self.normal.dot(plane.normal) > 0.0;
             if is_low {
                 outline.extend(&self.edges);
@@ -84,7 +84,8 @@ impl Cap {
     }
 }
 
-/// The edges on one side of a plane, and their ends in it, counted from where they are entered.
+/// The edges on one side of a plane, and their ends in the plane. The count of an end is positive where the boundary
+/// enters.
 #[derive(Default)]
 struct Half {
     edges: Vec<Edge>,
@@ -103,7 +104,7 @@ impl Half {
     }
 }
 
-/// The edges along a line that start where others end: `ends` lie on the line, with the weight that arrives there.
+/// Returns edges along a line that connect `ends`: points of the line with the weight that arrives there.
 fn chain(mut ends: Vec<(DVec3, i32)>) -> Vec<Edge> {
     let Some(bounds) = sms_core::Aabb::of_points(ends.iter().map(|e| e.0)) else { return Vec::new() };
     let axis = bounds.extents().max_position();
@@ -119,7 +120,7 @@ fn chain(mut ends: Vec<(DVec3, i32)>) -> Vec<Edge> {
     out
 }
 
-/// The same boundary with each edge once; those passed both ways drop out.
+/// Returns the same boundary with each edge once. Edges passed in both directions cancel.
 pub(crate) fn tidy(mut edges: Vec<Edge>) -> Vec<Edge> {
     for e in &mut edges {
         if e.ends[1].to_array() < e.ends[0].to_array() {
@@ -143,7 +144,7 @@ pub(crate) fn tidy(mut edges: Vec<Edge>) -> Vec<Edge> {
     out
 }
 
-/// Where the edge between two points crosses a plane: the same bits whichever of them comes first.
+/// Returns the point where an edge crosses a plane; bitwise equal for both orders of its ends.
 pub(crate) fn between(a: DVec3, b: DVec3, plane: Plane) -> DVec3 {
     let (a, b) = if a.to_array() < b.to_array() { (a, b) } else { (b, a) };
     let (ha, hb) = (plane.height(a), plane.height(b));

@@ -6,14 +6,15 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConvexConfig {
-    /// Largest number of parts of one object. Where there are more, unions that add the least volume are made.
+    /// Largest number of parts of one object. If there are more, the unions that add the least volume are made.
     pub max_parts: usize,
     /// Largest number of vertices of a part.
     pub max_vertices: usize,
-    /// A part is convex enough when its concavity, in halves of the object's longest side, is at most this (the
-    /// threshold of CoACD, which it sets to 0.05) …
+    /// Concavity, in halves of the object's longest side, up to which a part is convex enough (the threshold of CoACD,
+    /// 0.05 there).
     pub threshold: f64,
-    /// … or, in metres, at most this: finer than a scan there is nothing to follow.
+    /// Concavity, in metres, up to which a part is always convex enough: details below the resolution of a scan are
+    /// noise.
     pub floor: f64,
 }
 

@@ -1,4 +1,4 @@
-//! Joining parts again where cuts were not needed, and where the part budget asks for it.
+//! Merges parts where cuts were unnecessary, and to meet the part budget.
 
 use crate::convex::parts::{HullPart, Tolerance, rv};
 use crate::convex::piece::SLIGHT;
@@ -16,7 +16,7 @@ struct Union {
     part: HullPart,
     /// Hull volume that the union adds.
     added: f64,
-    /// Whether it stays within the threshold, once that was asked.
+    /// Whether the union is within the threshold; `None` if not computed yet.
     allowed: Option<bool>,
 }
 
@@ -34,8 +34,8 @@ fn union(a: &HullPart, b: &HullPart, gap: f64, scratch: &mut HullBuffers) -> Opt
     Some(Union { part, added: hull_volume - a.hull_volume - b.hull_volume, allowed: None })
 }
 
-/// Joins parts, those first whose union adds the least volume: all that stay within the threshold and add no more than
-/// `most_added`, and more while there are more than `max_parts`.
+/// Merges parts, starting with the union that adds the least volume. Unions within the threshold that add at most
+/// `most_added` are made, and more while there are more than `max_parts`.
 pub(crate) fn merge(
     parts: Vec<HullPart>,
     solid: &Solid,
@@ -79,8 +79,8 @@ pub(crate) fn merge(
     drop_slivers(alive)
 }
 
-/// Splinters left by cuts carry nothing and trouble physics engines: each joins the part that grows least by it where
-/// that costs next to nothing, and is left out otherwise.
+/// Removes slivers left by cuts: they add no support and cause problems in physics engines. Each sliver joins the part
+/// that grows least by the union, or is dropped if that part would grow noticeably.
 fn drop_slivers(mut alive: BTreeMap<usize, HullPart>) -> Vec<HullPart> {
     let total: f64 = alive.values().map(|p| p.hull_volume).sum();
     let slivers: Vec<usize> =
@@ -120,7 +120,8 @@ fn join(
     *next_id += 1;
 }
 
-/// The union that adds the least volume; of those within the threshold that add no more than `most_added`, if given.
+/// Returns the union that adds the least volume. With `most_added`, only unions within the threshold that add at most
+/// this volume count.
 fn best(
     unions: &mut BTreeMap<(usize, usize), Union>,
     solid: &Solid,

@@ -1,4 +1,4 @@
-//! Which points of the unit cube lie inside a closed surface, looked up on a grid.
+//! Inside test for points of the unit cube and a closed surface, on a grid.
 
 use crate::convex::repair::TriangleSurface;
 use glamx::DVec3;
@@ -9,22 +9,23 @@ pub(crate) struct InsideVoxels {
     cell: f64,
     size: [usize; 3],
     inside: Vec<bool>,
-    /// Lengths of all columns that the surface winds around forwards and backwards, in cells.
+    /// Total length of the columns with positive and with negative winding number, in cells.
     forwards: f64,
     backwards: f64,
 }
 
-/// Crossings of one column: height in cells, and −1 where the column enters through an upward face's back.
+/// Crossings of one column: height in cells, and −1 if the column enters through the back of an upward face.
 type Crossings = Vec<(f64, i32)>;
 
 impl InsideVoxels {
-    /// A grid of `resolution` voxels along each side of length 2. A voxel is inside where the surface winds around its
-    /// centre, however often and in whichever direction.
+    /// Builds a grid of `resolution` voxels along each side of length 2. A voxel is inside if the winding number at its
+    /// centre is not zero.
     pub(crate) fn new(surface: &TriangleSurface, resolution: usize) -> Self {
         let cell = 2.0 / resolution as f64;
         let low = surface.points.iter().fold(DVec3::ONE, |m, p| m.min(*p));
         let high = surface.points.iter().fold(-DVec3::ONE, |m, p| m.max(*p));
-        // Columns through the corners of axis-aligned meshes would count twice: shift by an odd fraction of a cell.
+        // Columns through the corners of axis-aligned meshes would count twice, so the grid is shifted by a fraction of
+        // a cell.
         let min = low - DVec3::new(0.3713, 0.2917, 0.3291) * cell;
         let size = ((high - min) / cell).max(DVec3::ZERO).to_array().map(|v| v as usize + 2);
         let mut grid = Self {
@@ -77,7 +78,7 @@ impl InsideVoxels {
             for y in range(1, ny) {
                 for x in range(0, nx) {
                     let (px, py) = (x as f64, y as f64);
-                    // Both triangles at an edge compute the same number for it, up to its sign.
+                    // Both triangles at an edge compute the same number, up to the sign.
                     let side = |p: DVec3, q: DVec3| {
                         if (p.x, p.y) < (q.x, q.y) {
                             (p.x - px) * (q.y - py) - (p.y - py) * (q.x - px)
@@ -99,7 +100,7 @@ impl InsideVoxels {
         columns
     }
 
-    /// Whether the voxel around a point is inside.
+    /// Returns whether the voxel around a point is inside.
     pub(crate) fn contains(&self, p: DVec3) -> bool {
         let q = (p - self.min) / self.cell;
         if q.min_element() < 0.0 {
@@ -112,12 +113,12 @@ impl InsideVoxels {
             && self.inside[(z * self.size[1] + y) * self.size[0] + x]
     }
 
-    /// Whether much of the solid lies behind faces that are turned the wrong way.
+    /// Returns whether a large part of the solid lies behind inverted faces.
     pub(crate) fn is_tangled(&self) -> bool {
         self.backwards > 0.03 * self.forwards
     }
 
-    /// Volume of the voxels inside.
+    /// Returns the volume of the inside voxels.
     #[cfg(test)]
     pub(crate) fn volume(&self) -> f64 {
         self.inside.iter().filter(|&&i| i).count() as f64 * self.cell.powi(3)
@@ -135,7 +136,7 @@ mod tests {
         let ball = Mesh::icosphere(1.0, 4);
         let grid = InsideVoxels::new(&clean(&ball.vertices, &ball.triangles), 64);
         assert!((grid.volume() / ball.volume() - 1.0).abs() < 0.01);
-        // A box with a cavity, turned inside out as a whole: it still winds around the wall.
+        // A box with a cavity, all faces inverted: the winding number in the wall is still not zero.
         let mut mesh = Mesh::cuboid(DVec3::ONE);
         let hole = Mesh::cuboid(DVec3::splat(0.5));
         let n = mesh.vertices.len() as u32;

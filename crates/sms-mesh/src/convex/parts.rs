@@ -1,4 +1,4 @@
-//! From a closed surface to convex parts: cut, measure, merge.
+//! Convex parts of a closed surface: cut, measure, merge.
 
 use crate::convex::config::ConvexConfig;
 use crate::convex::merge::merge;
@@ -16,29 +16,33 @@ use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{Aabb, Mesh};
 
-/// Number of faces with which cuts are searched.
+/// Number of faces in the search for cuts.
 const COARSE_FACES: usize = 600;
 
-/// Volume, in those whose [`rv`] is the threshold, that a result may have more for one part less.
+/// Volume that a result may have more if it has one part less, in units of the volume with [`rv`] at the threshold.
 const PART_COST: f64 = 0.25;
 
-/// … and no more than this share of all hulls, so that thin walls are followed.
+/// Upper limit of that volume as a share of all hulls, so that parts follow thin walls.
 const PART_SHARE: f64 = 0.0054;
 
-/// Steps after which nothing is cut any further: two seconds. Household things take 0.4 to 110 million, the most for thin
-/// bowls and vases.
+/// Number of steps after which cutting stops: two seconds. Household objects need 0.4 to 110 million; thin bowls and
+/// vases need most.
 const MOST_WORK: u64 = 150_000_000;
 
-/// Pieces are cut until the volume that their hulls add is this much nearer than the threshold; unions may use it whole.
+/// Pieces are cut until the volume that their hulls add is below this share of the threshold. Unions may use all of the
+/// threshold.
 const CUT_SHARE: f64 = 0.8;
 
-/// Surplus of the whole's hull, likewise, up to which nothing is cut: dents of a scanned block are not parts.
+/// If the hull of the whole object adds less than this share of the threshold's volume, nothing is cut: dents of a
+/// scanned block are not parts.
 const WHOLE_SHARE: f64 = 1.25;
 
-/// Pieces thinner than this are films that cuts beside flat faces leave; they hold nothing, but span hollows.
+/// Pieces thinner than this are films that cuts leave beside flat faces. They have no volume, but their hulls may span
+/// hollows.
 const FILM: f64 = 1e-4;
 
-/// Sectors are joined where that adds less than this share of the cost of a part, by which their number was chosen.
+/// Sectors are merged if the union adds less than this share of the cost of a part (the cost that determined their
+/// number).
 const SECTOR_SHARE: f64 = 0.5;
 
 /// Largest number of pieces.
@@ -51,7 +55,7 @@ pub(crate) struct HullPart {
     pub(crate) points: Vec<DVec3>,
     pub(crate) min: DVec3,
     pub(crate) max: DVec3,
-    /// Volume of the solid that the part stands for.
+    /// Volume of the solid that the part represents.
     pub(crate) volume: f64,
     pub(crate) hull_volume: f64,
 }
@@ -63,7 +67,7 @@ impl HullPart {
     }
 }
 
-/// When a part is convex enough.
+/// Limits for a convex part.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tolerance {
     /// Concavity in half sizes of the object.
@@ -72,23 +76,22 @@ pub(crate) struct Tolerance {
     pub(crate) spacing: f64,
 }
 
-/// CoACD's measure of a surplus of volume: 0.3 times the radius of a ball of that volume (its `R_v`, k = 0.3).
+/// Returns CoACD's measure of a surplus volume: 0.3 times the radius of a ball of that volume (its `R_v`, k = 0.3).
 pub(crate) fn rv(surplus: f64) -> f64 {
     0.3 * (surplus.max(0.0) * 3.0 / (4.0 * std::f64::consts::PI)).cbrt()
 }
 
-/// The volume whose [`rv`] is `threshold`.
+/// Returns the volume with [`rv`] equal to `threshold`.
 fn rv_volume(threshold: f64) -> f64 {
     4.0 / 3.0 * std::f64::consts::PI * (threshold / 0.3).powi(3)
 }
 
-/// Returns convex parts whose union approximates the solid that `mesh` bounds, in its frame: each a closed hull with
-/// positive volume and at most `max_vertices` vertices. A convex object is one part.
+/// Returns convex parts whose union approximates the solid that `mesh` bounds, in the frame of `mesh`. Each part is a
+/// closed hull with positive volume and at most `max_vertices` vertices. A convex object is one part.
 ///
-/// Any mesh will do. Open, torn, tangled and inside-out meshes are closed first (a single sheet becomes a shell); those
-/// that still enclose nothing go to voxel decomposition (V-HACD, crate `parry3d`), then to a single hull. The result is
-/// empty only when all vertices lie in one plane. The same mesh and settings give the same bytes with any number of
-/// threads.
+/// Any mesh is accepted. Open, torn, self-intersecting and inverted meshes are closed first (a single sheet becomes a
+/// shell). If a mesh still encloses no volume, voxel decomposition (V-HACD, crate `parry3d`) is tried, then a single
+/// hull. The result is empty only when all vertices lie in one plane. It does not depend on the number of threads.
 ///
 /// ```
 /// use sms_core::{Mesh, glamx::DVec3};
@@ -124,14 +127,14 @@ pub fn convex_parts(mesh: &Mesh, config: &ConvexConfig) -> Vec<Mesh> {
     hull(&solid).into_iter().collect()
 }
 
-/// Where the unit coordinates lie in the mesh's.
+/// Transformation from unit coordinates to those of the mesh.
 #[derive(Clone, Copy)]
 struct UnitFrame {
     center: DVec3,
     half: f64,
 }
 
-/// Points of each part's hull; all in unit coordinates, of which `half` metres are one. `total` counts the work.
+/// Returns the points of each part's hull, all in unit coordinates (`half` metres per unit). `total` counts the work.
 fn decompose(
     points: &[DVec3],
     triangles: &[[u32; 3]],
@@ -141,7 +144,7 @@ fn decompose(
 ) -> Option<Vec<Vec<DVec3>>> {
     let surface = closed_surface(points, triangles, config.threshold)?;
     let coarse = surface.clone().decimated(COARSE_FACES, 0.4 * config.threshold);
-    // A rough surface reduced to twice as many faces is detailed enough to choose cuts.
+    // A rough surface reduced to twice as many faces is still detailed enough for the choice of cuts.
     let coarse = [1.0, 2.0, 4.0]
         .iter()
         .fold(coarse, |s, share| s.decimated(2 * COARSE_FACES, share * config.threshold));
@@ -155,7 +158,7 @@ fn decompose(
         planes: CutPlanes::All,
         part_cost: 0.05 * rv_volume(tolerance.threshold),
     };
-    // A piece that is convex enough is one part, whatever cutting it would save.
+    // A piece that is convex enough is one part, even if cutting would save volume.
     let work = Work::default();
     let mut hull = GrowingHull::default();
     let hull_volume = whole(&surface).hull_volume(&mut hull);
@@ -169,7 +172,7 @@ fn decompose(
         let parts = cut(open, &solid, tolerance, Breadth { planes, ..breadth }, work);
         let parts = merge(parts, &solid, tolerance, max_parts, most_added, work);
         total.add(work.steps());
-        // Volume that a hull lacks of its own piece counts too.
+        // Volume missing from a piece's hull counts too.
         let hulls: f64 =
             parts.iter().map(|p| p.hull_volume + 5.0 * (p.volume - p.hull_volume).max(0.0)).sum();
         (hulls, parts)
@@ -199,7 +202,7 @@ fn whole(surface: &TriangleSurface) -> Piece {
     Piece { points: surface.points.clone(), triangles: surface.triangles.clone(), ..Piece::default() }
 }
 
-/// The leaves of the trees of cuts that grow from the `open` pieces.
+/// Returns the leaves of the cut trees of the `open` pieces.
 fn cut(
     mut open: Vec<[Piece; 2]>,
     solid: &Solid,
@@ -225,7 +228,7 @@ fn cut(
     parts
 }
 
-/// Whether a hull that adds `surplus` to its piece is within the threshold, of which the volume may use a `share`.
+/// Returns whether a hull that adds `surplus` to its piece is within the threshold. The volume may use a `share` of it.
 fn is_convex(
     hull: &GrowingHull,
     surplus: f64,
@@ -238,7 +241,7 @@ fn is_convex(
     rv(surplus) <= share * enough && solid.reach(hull.triangles(), tolerance.spacing, enough, work) <= enough
 }
 
-/// A part where the piece is convex enough, else its two sides.
+/// Returns a part if the piece is convex enough, else its two sides.
 fn examine(
     [piece, coarse]: &[Piece; 2],
     solid: &Solid,
@@ -250,7 +253,7 @@ fn examine(
     let mut scratch = HullBuffers::default();
     piece.hull_volume(&mut scratch.hull);
     if piece.cell.len() > 2 {
-        // Corners where three cuts meet inside the solid are ends of the caps' inner edges.
+        // Corners where three cuts meet inside the solid are ends of inner edges of the caps.
         let inner = piece.caps.iter().flat_map(|c| &c.edges).filter(|e| e.is_inner);
         for p in inner.flat_map(|e| e.ends) {
             if p.abs().max_element() <= 1.0 && scratch.hull.leaves_out(p) && solid.contains(p, work) {
@@ -273,7 +276,7 @@ fn examine(
         let inside = |p| solid.contains(p, work);
         let sides = piece.split(plane, true, &inside).into_iter().zip(coarse.split(plane, false, &inside));
         let sides = sides.map(|(fine, coarse)| [fine, coarse]);
-        // A block from deep inside has no surface, but spines.
+        // A block from deep inside has no surface, only spines.
         return (None, sides.filter(|s| s[0].points.len() > 3).collect());
     }
     (HullPart::new(scratch.hull.vertices(), volume, hull_volume), Vec::new())
@@ -306,7 +309,7 @@ mod tests {
     use rand::RngExt;
     use sms_core::Seed;
 
-    /// Steps that a mesh in unit coordinates takes, after its parts were checked.
+    /// Returns the number of steps for a mesh in unit coordinates, after checking the parts.
     fn steps_of(mesh: &Mesh) -> u64 {
         let work = Work::default();
         let config = ConvexConfig::default();
@@ -319,7 +322,7 @@ mod tests {
     #[test]
     fn tangles_take_little_work() {
         let mut rng = Seed(4).rng();
-        // Two corners exchanged: faces pass through each other.
+        // Two corners are exchanged: faces intersect each other.
         let mut cube = Mesh::cuboid(DVec3::ONE);
         cube.vertices.swap(0, 6);
         let mut shaken = Mesh::icosphere(0.6, 5);
@@ -332,7 +335,7 @@ mod tests {
         for (name, mesh) in [("cube", cube), ("shaken", shaken), ("spikes", spikes)] {
             let steps = steps_of(&mesh);
             println!("{name}: {steps} steps");
-            // Four ways to cut; none should have to stop early.
+            // Four ways to cut, none of which should have to stop early.
             assert!(steps < 4 * MOST_WORK, "{name}: {steps}");
         }
     }

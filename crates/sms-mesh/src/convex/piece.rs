@@ -1,15 +1,16 @@
 //! Pieces of a surface, cut by planes without closing the cuts.
 //!
-//! The hull of a cut surface is nearly the hull of the cut solid, because a cut's outline lies on both; it lacks only
-//! the corners where cuts meet inside the solid. Pieces therefore keep, besides their surface, the *spines*: the lines
-//! along which two cuts meet, as far as they run inside the solid. Volumes need the caps ([`crate::convex::cap`]).
+//! The hull of a cut surface is nearly the hull of the cut solid, because the outline of a cut lies on both. Only the
+//! corners where cuts meet inside the solid are missing. Pieces therefore keep, besides their surface, the *spines*:
+//! the lines along which two cuts meet, as far as they run inside the solid. Volumes need the caps
+//! ([`crate::convex::cap`]).
 
 use crate::convex::cap::{Cap, Edge, between, tidy};
 use crate::convex::sweep::GrowingHull;
 use crate::plane::Plane;
 use glamx::{DMat3, DVec3};
 
-/// Hulls of parts leave out points that reach out of them by less, in half sizes of the object.
+/// Hulls of parts leave out points that protrude less than this, in half sizes of the object.
 pub(crate) const SLIGHT: f64 = 2e-4;
 
 /// A piece of the object's surface, in unit coordinates.
@@ -21,7 +22,7 @@ pub(crate) struct Piece {
     pub(crate) caps: Vec<Cap>,
     /// Lines inside the solid along which two cuts meet.
     pub(crate) spines: Vec<[u32; 2]>,
-    /// The half-spaces that the piece was cut to.
+    /// Half-spaces that contain the piece.
     pub(crate) cell: Vec<Plane>,
 }
 
@@ -33,13 +34,13 @@ impl Piece {
         (surface + caps) / 6.0
     }
 
-    /// Points, faces and edges to go through.
+    /// Returns the number of points, faces and edges to process.
     pub(crate) fn size(&self) -> u64 {
         let caps: usize = self.caps.iter().map(|c| c.edges.len()).sum();
         (self.points.len() + 3 * self.triangles.len() + self.spines.len() + caps) as u64
     }
 
-    /// Area of the largest side of the box around all points.
+    /// Returns the area of the largest side of the bounding box.
     pub(crate) fn widest_side(&self) -> f64 {
         let extents =
             sms_core::Aabb::of_points(self.points.iter().copied()).map_or(DVec3::ZERO, |b| b.extents());
@@ -50,7 +51,7 @@ impl Piece {
         t.map(|i| self.points[i as usize])
     }
 
-    /// Volume of the hull of all points, left in `hull`.
+    /// Returns the volume of the hull of all points. The hull remains in `hull`.
     pub(crate) fn hull_volume(&self, hull: &mut GrowingHull) -> f64 {
         hull.clear(SLIGHT);
         for &p in &self.points {
@@ -59,7 +60,7 @@ impl Piece {
         hull.volume()
     }
 
-    /// Edges, each once, as pairs of points.
+    /// Returns the edges, each once, as pairs of points.
     pub(crate) fn edges(&self) -> Vec<(u32, u32)> {
         let mut edges: Vec<(u32, u32)> = self
             .triangles
@@ -72,7 +73,7 @@ impl Piece {
         edges
     }
 
-    /// Axes of the surface's second moments, by ascending variance.
+    /// Returns the axes of the surface's second moments, by ascending variance.
     pub(crate) fn axes(&self) -> [DVec3; 3] {
         let (mut weight, mut mean, mut moments) = (0.0, DVec3::ZERO, DMat3::ZERO);
         for t in &self.triangles {
@@ -93,7 +94,7 @@ impl Piece {
         if axes.iter().all(|a| a.is_finite() && (a.length() - 1.0).abs() < 1e-3) { axes } else { fallback }
     }
 
-    /// The sides below and above a plane; points within a hair of it belong to both.
+    /// Returns the sides below and above a plane. Points within a hair of the plane belong to both.
     pub(crate) fn split(&self, plane: Plane, with_caps: bool, inside: &impl Fn(DVec3) -> bool) -> [Piece; 2] {
         const HAIR: f64 = 1e-9;
         let side: Vec<i8> = self
@@ -112,13 +113,13 @@ impl Piece {
             .collect();
         let mut out = [PieceSide::new(self), PieceSide::new(self)];
         let mut cuts = Cuts::default();
-        // The lower side's boundary in the plane.
+        // Boundary of the lower side in the plane.
         let mut outline: Vec<Edge> = Vec::new();
         for t in &self.triangles {
             let s = t.map(|i| side[i as usize]);
             let (low, high) = (s.iter().any(|&s| s < 0), s.iter().any(|&s| s > 0));
             if !high {
-                // A face in the plane lies on its material's far side: below when it faces up.
+                // The material of a face in the plane lies below if the face points up.
                 let in_plane = !low;
                 let faces_up = in_plane && {
                     let [a, b, c] = self.corners(t);
@@ -201,7 +202,7 @@ impl Piece {
 }
 
 impl Piece {
-    /// Where the plane meets earlier cuts inside the cell and the solid.
+    /// Returns the lines where the plane meets earlier cuts inside the cell and the solid.
     fn new_spines(&self, plane: Plane, step: f64, inside: &impl Fn(DVec3) -> bool) -> Vec<[DVec3; 2]> {
         let mut out = Vec::new();
         let Some(bounds) = sms_core::Aabb::of_points(self.points.iter().copied()) else { return out };
@@ -214,7 +215,7 @@ impl Piece {
             let foot =
                 (other.normal.cross(along) * plane.offset + along.cross(plane.normal) * other.offset) / sin2;
             let along = along / sin2.sqrt();
-            // As far as it runs through the piece's box.
+            // Clip the line to the piece's box.
             let (mut from, mut to) = (-4.0f64, 4.0f64);
             for axis in 0..3 {
                 let (a, b) = (bounds.min[axis] - foot[axis], bounds.max[axis] - foot[axis]);
@@ -245,7 +246,7 @@ impl Piece {
             }
             let samples = ((to - from) / step) as usize + 4;
             let at = |i: usize| foot + along * (from + (to - from) * i as f64 / (samples - 1) as f64);
-            // Between a sample inside and one outside, the last point inside.
+            // Between a sample inside and one outside: the last point inside.
             let edge = |mut within: DVec3, mut beyond: DVec3| {
                 for _ in 0..5 {
                     let middle = within.midpoint(beyond);
@@ -281,13 +282,13 @@ fn outer(v: DVec3) -> DMat3 {
     DMat3::from_cols(v * v.x, v * v.y, v * v.z)
 }
 
-/// The boundary that a triangle's lower side gains on the plane, in the triangle's direction of travel.
+/// Returns the boundary that the lower side of a triangle gains on the plane, oriented like the triangle.
 fn crossing(t: [DVec3; 3], s: [i8; 3], plane: Plane) -> Option<[DVec3; 2]> {
     let low = s.iter().any(|&s| s < 0);
     if !low {
         return None;
     }
-    // Walking the corners, the lower side is left at `from` and entered again at `to`.
+    // Walking along the corners, the boundary leaves the lower side at `from` and enters it again at `to`.
     let (mut from, mut to) = (None, None);
     for k in 0..3 {
         let (a, b, sa, sb) = (t[k], t[(k + 1) % 3], s[k], s[(k + 1) % 3]);
@@ -325,7 +326,7 @@ impl Cuts {
     }
 }
 
-/// One side while it is being filled.
+/// One side during construction.
 struct PieceSide {
     piece: Piece,
     old: Vec<u32>,
@@ -413,7 +414,7 @@ mod tests {
         #[test]
         fn volumes_of_repeated_cuts_add_up(seed in 0u64..10_000, aligned in proptest::bool::ANY) {
             let mut rng = sms_core::Seed(seed).rng();
-            // A ball inside out in a box: a hollow box, so that outlines are nested.
+            // An inverted ball in a box makes a hollow box, so that outlines are nested.
             let mut mesh = Mesh::cuboid(DVec3::splat(1.0));
             let hole = Mesh::icosphere(0.7, 2);
             let n = mesh.vertices.len() as u32;
@@ -431,7 +432,7 @@ mod tests {
                 let plane = Plane { normal: normal.normalize_or(DVec3::X), offset };
                 pieces = pieces.iter().flat_map(|p| p.split(plane, true, &inside)).collect();
             }
-            // Caps do not grow with every cut through them.
+            // The number of a cap's edges does not grow with every cut.
             let edges: usize = pieces.iter().flat_map(|p| &p.caps).map(|c| c.edges.len()).sum();
             let faces: usize = pieces.iter().map(|p| p.triangles.len()).sum();
             prop_assert!(edges < 2 * faces, "{edges} {faces}");

@@ -1,19 +1,20 @@
-//! A closed surface for meshes that enclose nothing: open, torn or tangled ones.
+//! A closed surface for open, torn or self-intersecting meshes, which do not bound a volume.
 //!
-//! Space that cannot be reached from outside through openings wider than a few voxels is inside; within a voxel of the
-//! surface the nearest face's direction decides, so that thin double walls stay thin and single sheets become about a
-//! voxel thick on their back side. A single-sheet cup stays a cup.
+//! Space is inside if it cannot be reached from outside through openings wider than a few voxels. Within a voxel of the
+//! surface, the direction of the nearest face decides, so that thin double walls stay thin and single sheets become
+//! about a voxel thick on their back side. A single-sheet cup stays a cup.
 
 use crate::convex::repair::TriangleSurface;
 use glamx::DVec3;
 use parry3d_f64::shape::TriMesh;
 use rayon::prelude::*;
 
-/// Most pairs of a voxel and a face whose box it lies in or beside: so much do nearest faces cost. Faces of a scan make a
-/// million; twenty thousand that cross the whole object make more than this on any grid that shows anything.
+/// Limit of the work for nearest faces: the largest number of pairs of a voxel and a face whose box contains or touches
+/// the voxel. Faces of a scan make a million pairs. Twenty thousand faces that cross the whole object exceed the limit
+/// on any useful grid.
 pub(crate) const MOST_PAIRS: f64 = 2e7;
 
-/// Openings up to twice so many voxels wide are sealed.
+/// Openings up to twice this number of voxels wide are sealed.
 const SEAL: u16 = 2;
 
 struct VoxelGrid {
@@ -51,7 +52,8 @@ impl VoxelGrid {
         })
     }
 
-    /// Steps through `open` voxels from `start`, at most `most`; `u16::MAX` where it does not get.
+    /// Returns the number of steps from `start` through `open` voxels, at most `most`; `u16::MAX` for voxels out of
+    /// reach.
     fn flood(&self, start: impl Iterator<Item = usize>, open: &dyn Fn(usize) -> bool, most: u16) -> Vec<u16> {
         let mut steps = vec![u16::MAX; self.len()];
         let mut queue: std::collections::VecDeque<usize> = Default::default();
@@ -74,7 +76,8 @@ impl VoxelGrid {
     }
 }
 
-/// Pairs of a face and a voxel, of `resolution` along the longest side, that lies in the face's box or beside it.
+/// Returns the number of pairs of a face and a voxel inside or beside the face's box. The grid has `resolution` voxels
+/// along the longest side.
 pub(crate) fn pairs(surface: &TriangleSurface, resolution: usize) -> f64 {
     let cell = 2.0 / resolution as f64;
     let boxes = surface.triangles.iter().filter_map(|t| {
@@ -85,7 +88,7 @@ pub(crate) fn pairs(surface: &TriangleSurface, resolution: usize) -> f64 {
 }
 
 /// Returns a closed surface around the space that `surface` (any triangles, in unit coordinates) encloses, on a grid of
-/// `resolution` voxels along the longest side; `None` when that is empty, or too much work.
+/// `resolution` voxels along the longest side. Returns `None` when this space is empty or the work too large.
 pub(crate) fn remesh(surface: &TriangleSurface, resolution: usize) -> Option<TriangleSurface> {
     let cell = 2.0 / resolution as f64;
     if pairs(surface, resolution) > MOST_PAIRS {
@@ -99,7 +102,7 @@ pub(crate) fn remesh(surface: &TriangleSurface, resolution: usize) -> Option<Tri
     let size = ((high - min) / cell).to_array().map(|v| (v + pad) as usize + 2);
     let grid = VoxelGrid { min, cell, size };
     let near = near_surface(surface, &grid);
-    // Signed distances where the surface is near, from the nearest face's direction.
+    // Signed distances near the surface, from the direction of the nearest face.
     let sheet: Vec<f64> = (0..grid.len())
         .into_par_iter()
         .map(|i| {
@@ -119,7 +122,7 @@ pub(crate) fn remesh(surface: &TriangleSurface, resolution: usize) -> Option<Tri
             if (b - a).cross(c - a).dot(p - projection.point) > 0.0 { d } else { -d }
         })
         .collect();
-    // From outside, not through anything nearer than the seal; then back up to the surface.
+    // Flood from outside, except through voxels closer than the seal; then back up to the surface.
     let barrier: Vec<usize> = (0..grid.len()).filter(|&i| sheet[i].is_finite()).collect();
     let gap = grid.flood(barrier.into_iter(), &|_| true, SEAL);
     let far = grid.flood(std::iter::once(0), &|i| gap[i] == u16::MAX, u16::MAX);
@@ -136,7 +139,7 @@ pub(crate) fn remesh(surface: &TriangleSurface, resolution: usize) -> Option<Tri
     (closed.volume() > 1e-6).then_some(closed)
 }
 
-/// Voxels that the surface passes through, and their neighbours.
+/// Marks voxels that intersect the surface, and their neighbours.
 fn near_surface(surface: &TriangleSurface, grid: &VoxelGrid) -> Vec<bool> {
     let mut on = vec![false; grid.len()];
     for t in &surface.triangles {
@@ -153,7 +156,7 @@ fn near_surface(surface: &TriangleSurface, grid: &VoxelGrid) -> Vec<bool> {
     }
     let mut near = vec![false; grid.len()];
     for i in (0..grid.len()).filter(|&i| on[i]) {
-        // The grid reaches beyond the surface by more than a voxel.
+        // The grid extends beyond the surface by more than a voxel.
         let [x, y, z] = grid.at(i);
         for n in 0..27 {
             near[grid.index([x + n % 3 - 1, y + n / 3 % 3 - 1, z + n / 9 - 1])] = true;
@@ -162,7 +165,8 @@ fn near_surface(surface: &TriangleSurface, grid: &VoxelGrid) -> Vec<bool> {
     near
 }
 
-/// The zero level of a field as quads across the edges that change sign, with one vertex a voxel cube (Gibson 1998).
+/// Returns the zero level of a field as quads across the edges that change sign, with one vertex per voxel cube (Gibson
+/// 1998).
 fn surface_net(grid: &VoxelGrid, field: &[f64]) -> TriangleSurface {
     let [nx, ny, nz] = grid.size;
     let mut vertex = vec![u32::MAX; grid.len()];

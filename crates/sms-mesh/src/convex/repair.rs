@@ -1,23 +1,23 @@
-//! From whatever mesh is given to a closed surface of few faces.
+//! Conversion of any mesh to a closed surface of few faces.
 
 use crate::convex::occupancy::InsideVoxels;
 use crate::convex::remesh::remesh;
 use glamx::DVec3;
 use std::collections::BTreeMap;
 
-/// Openings up to this wide, in half sizes of the object, are holes of a scan and not mouths of vessels.
+/// Openings up to this width, in half sizes of the object, are holes of a scan instead of mouths of vessels.
 const WIDEST_HOLE: f64 = 0.2;
 
-/// Number of faces with which surfaces are cut …
+/// Number of faces of surfaces to cut, in smooth places.
 const FACES: usize = 2000;
 
-/// … in smooth places, and largest number in rough ones: tangles of needles would take forever.
+/// Largest number of faces in rough places: tangles of needles would take forever.
 pub(crate) const MOST_FACES: usize = 6000;
 
 /// Voxels along the longest side for remeshing: the first resolution with few enough faces is used.
 const RESOLUTIONS: [usize; 4] = [80, 40, 24, 12];
 
-/// A surface in unit coordinates: centred, its longest side of length 2.
+/// A surface in unit coordinates: centred, with the longest side of length 2.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TriangleSurface {
     pub(crate) points: Vec<DVec3>,
@@ -25,8 +25,8 @@ pub(crate) struct TriangleSurface {
 }
 
 impl TriangleSurface {
-    /// Whether every directed edge occurs as often as its opposite: then the winding number is whole everywhere, even
-    /// where more than two faces share an edge.
+    /// Returns whether every directed edge occurs as often as its opposite. The winding number is then an integer
+    /// everywhere, even where more than two faces share an edge.
     pub(crate) fn is_closed(&self) -> bool {
         let mut edges: Vec<(u32, u32, i8)> = self
             .triangles
@@ -52,8 +52,8 @@ impl TriangleSurface {
         }
     }
 
-    /// Fewer faces by quadric collapses (crate `meshopt`) that move the surface by at most `error`; as it was where
-    /// that would open it.
+    /// Reduces the number of faces by quadric collapses (crate `meshopt`) that move the surface by at most `error`.
+    /// Returns the surface unchanged if the result would be open.
     pub(crate) fn decimated(self, faces: usize, error: f64) -> Self {
         if self.triangles.len() <= faces {
             return self;
@@ -73,7 +73,7 @@ impl TriangleSurface {
         if fewer.is_closed() { fewer } else { self }
     }
 
-    /// Turns faces round so that neighbours agree, where edges have two faces each; sheets of which any was turned then
+    /// Reorients faces so that neighbours agree, where edges have two faces each. Sheets with a reoriented face then
     /// face outwards.
     fn agree(&mut self) {
         let mut edges: Vec<(u32, u32, usize, bool)> = Vec::with_capacity(3 * self.triangles.len());
@@ -81,7 +81,7 @@ impl TriangleSurface {
             edges.extend([(a, b), (b, c), (c, a)].map(|(a, b)| (a.min(b), a.max(b), f, a < b)));
         }
         edges.sort_unstable();
-        // The face across, and whether it runs the other way along the edge, as neighbours should.
+        // The face across, and whether it runs the other way along the edge, as a consistent neighbour does.
         let mut across: Vec<Vec<(usize, bool)>> = vec![Vec::new(); self.triangles.len()];
         for same in edges.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
             if let [a, b] = same {
@@ -129,7 +129,7 @@ impl TriangleSurface {
         let mut edges: Vec<(u32, u32)> =
             self.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).collect();
         edges.sort_unstable_by_key(|&(a, b)| (a.min(b), a.max(b), a));
-        // Edges that remain when opposite ones cancel.
+        // Edges without an opposite.
         let mut open: Vec<(u32, u32)> = Vec::new();
         for same in edges.chunk_by(|x, y| (x.0.min(x.1), x.0.max(x.1)) == (y.0.min(y.1), y.0.max(y.1))) {
             let forward = same.iter().filter(|e| e.0 < e.1).count();
@@ -186,8 +186,8 @@ impl TriangleSurface {
     }
 }
 
-/// Returns the surface without non-finite vertices, with equal vertices merged and degenerate triangles dropped, turned
-/// outside out.
+/// Returns the surface without non-finite vertices, with equal vertices merged and degenerate triangles dropped. An
+/// inverted surface is turned outwards.
 pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> TriangleSurface {
     let mut ids: BTreeMap<[u64; 3], u32> = BTreeMap::new();
     let mut out = TriangleSurface::default();
@@ -223,8 +223,8 @@ pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> TriangleSurface
 }
 
 /// Returns a closed surface of the solid that triangles bound, with few faces for its roughness and at most
-/// [`MOST_FACES`]. Closed triangles that agree with their winding are kept; others are remeshed on a grid, as coarse as
-/// that takes. `None` when they enclose nothing. `threshold` is the concavity that parts may have.
+/// [`MOST_FACES`]. Closed triangles with consistent winding are kept; others are remeshed on a grid that is coarse
+/// enough. Returns `None` when they enclose no volume. `threshold` is the allowed concavity of parts.
 pub(crate) fn closed_surface(
     points: &[DVec3],
     triangles: &[[u32; 3]],

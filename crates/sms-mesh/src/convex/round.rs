@@ -1,7 +1,7 @@
 //! Bands and sectors of round objects: bowls, cups, vases.
 //!
-//! A search that cuts in two again and again leaves patches of all shapes on a round wall. Their worst ones decide; equal
-//! patches around the axis follow the wall with half the surplus.
+//! A search that repeatedly cuts in two leaves patches of all shapes on a round wall, and the worst of them determine
+//! the result. Equal patches around the axis follow the wall with half the surplus.
 
 use crate::convex::piece::Piece;
 use crate::convex::search::{HullBuffers, extent, flat_heights};
@@ -10,23 +10,23 @@ use crate::convex::work::Work;
 use crate::plane::Plane;
 use glamx::DVec3;
 
-/// Share of the surface whose normals must meet the axis. Handles and spouts may be the rest.
+/// Smallest share of the surface with normals that meet the axis. Handles and spouts may be the rest.
 const ROUND_SHARE: f64 = 0.4;
 
 /// Distance from the axis, in half sizes of the object, at which a normal still meets it.
 const ASIDE: f64 = 0.04;
 
-/// Bands along the axis that are tried.
+/// Largest number of bands along the axis.
 const MOST_BANDS: usize = 8;
 
-/// Sectors of a band that are tried: even, as a cut through the axis makes two.
+/// Candidate numbers of sectors of a band. They are even, since a cut through the axis makes two.
 const SECTORS: [usize; 13] = [1, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24];
 
 /// Planes around an axis.
 #[derive(Debug, Clone)]
 pub(crate) struct Rounds {
     axis: RoundAxis,
-    /// Heights along the axis between the bands, ascending, then each band's sectors.
+    /// Heights along the axis between the bands, ascending, then the sectors of each band.
     heights: Vec<f64>,
     sectors: Vec<usize>,
 }
@@ -45,7 +45,7 @@ impl RoundAxis {
         Self { center, along, across: [u, along.cross(u)] }
     }
 
-    /// The plane through the axis whose upper side begins at an angle.
+    /// Returns the plane through the axis with its upper side at an angle.
     fn plane(&self, angle: f64) -> Plane {
         let (sin, cos) = angle.sin_cos();
         let normal = self.across[1] * cos - self.across[0] * sin;
@@ -61,7 +61,7 @@ impl RoundAxis {
     }
 }
 
-/// The axis that the normals of most of the surface meet.
+/// Returns the axis that the normals of most of the surface meet.
 fn axis_of(piece: &Piece) -> Option<RoundAxis> {
     let faces: Vec<(DVec3, DVec3)> = piece
         .triangles
@@ -75,7 +75,7 @@ fn axis_of(piece: &Piece) -> Option<RoundAxis> {
     let axes = piece.axes();
     let mut best: Option<(f64, RoundAxis)> = None;
     for along in [DVec3::X, DVec3::Y, DVec3::Z, axes[0], axes[1], axes[2]] {
-        // The point nearest to all normals: each leaves free its own direction across the axis.
+        // The point nearest to all normal lines; each line leaves its own direction across the axis free.
         let u = along.any_orthonormal_vector();
         let v = along.cross(u);
         let mut center = DVec3::ZERO;
@@ -85,7 +85,7 @@ fn axis_of(piece: &Piece) -> Option<RoundAxis> {
                 let side = along.cross(n);
                 let Some(unit) = side.try_normalize() else { continue };
                 let off = unit.dot(p - center).abs();
-                // Later rounds leave handles out of account.
+                // Later rounds give handles little weight.
                 let w = side.length() / (1.0 + (off / ASIDE).powi(2));
                 let (a, b, d) = (unit.dot(u), unit.dot(v), unit.dot(p));
                 m[0] += w * a * a;
@@ -102,7 +102,7 @@ fn axis_of(piece: &Piece) -> Option<RoundAxis> {
         }
         let meets = |&(p, n): &(DVec3, DVec3)| {
             let side = along.cross(n);
-            // Faces across the axis, as a floor's, say nothing.
+            // Faces across the axis (a floor) carry no information.
             side.length() < 0.05 * n.length() || side.normalize().dot(p - center).abs() < ASIDE
         };
         let round: f64 = faces.iter().filter(|f| meets(f)).map(|f| f.1.length()).sum();
@@ -111,7 +111,7 @@ fn axis_of(piece: &Piece) -> Option<RoundAxis> {
             .filter(|f| along.cross(f.1).length() < 0.05 * f.1.length())
             .map(|f| f.1.length())
             .sum();
-        // A box's floor is flat, too.
+        // The floor of a box is flat, too.
         let share = (round - flat) / (total - flat).max(0.2 * total);
         if share > ROUND_SHARE && best.is_none_or(|b| share > b.0) {
             best = Some((share, RoundAxis::new(center, along)));
@@ -120,9 +120,9 @@ fn axis_of(piece: &Piece) -> Option<RoundAxis> {
     best.map(|b| b.1)
 }
 
-/// Heights that part the wall into `count` bands of equal length along its outline.
+/// Returns heights that divide the wall into `count` bands of equal length along its outline.
 fn equal_bands(piece: &Piece, axis: RoundAxis, count: usize) -> Vec<f64> {
-    // Each face's share of the outline, at its height.
+    // Length of each face along the outline, with the face's height.
     let mut lengths: Vec<(f64, f64)> = piece
         .triangles
         .iter()
@@ -146,9 +146,9 @@ fn equal_bands(piece: &Piece, axis: RoundAxis, count: usize) -> Vec<f64> {
 }
 
 impl Rounds {
-    /// The bands and sectors that leave the least volume of hulls, when each part costs `part_cost`. `None` without an
-    /// axis, and where that takes more than `most` parts: fewer bands than needed would level a bowl's floor, while
-    /// joining pieces leaves most of them as they should be.
+    /// Returns the bands and sectors with the least hull volume, if each part costs `part_cost`. Returns `None` without
+    /// an axis, and if more than `most` parts are needed: too few bands would level the floor of a bowl, while merging
+    /// pieces keeps most of it.
     pub(crate) fn plan(
         piece: &Piece,
         solid: &Solid,
@@ -159,7 +159,7 @@ impl Rounds {
         let axis = axis_of(piece)?;
         let floors = flat_heights(piece, axis.along);
         let mut scratch = HullBuffers::default();
-        // Volumes of each band of each plan with each count of sectors.
+        // Volumes by plan, band and number of sectors.
         let mut plans: Vec<(Vec<f64>, Vec<Vec<f64>>)> = Vec::new();
         for count in 1..=MOST_BANDS {
             for with_floors in [false, true] {
@@ -200,7 +200,7 @@ impl Rounds {
         fits.then(|| Self { axis, heights: best.1.clone(), sectors })
     }
 
-    /// The pieces of bands and sectors.
+    /// Returns the pieces of bands and sectors.
     pub(crate) fn cut(&self, piece: &Piece, with_caps: bool, solid: &Solid, work: &Work) -> Vec<Piece> {
         let inside = |p| solid.contains(p, work);
         let mut rest = piece.clone();
@@ -218,7 +218,7 @@ impl Rounds {
                 out.push(band);
                 continue;
             }
-            // Two halves, then from each one sector after another.
+            // Two halves, then one sector after another from each half.
             let step = std::f64::consts::TAU / count as f64;
             let [second, first] = band.split(self.axis.plane(0.0), with_caps, &inside);
             for (half, start) in [(first, 0.0), (second, std::f64::consts::PI)] {
@@ -236,7 +236,7 @@ impl Rounds {
     }
 }
 
-/// The bands between ascending heights.
+/// Returns the bands between ascending heights.
 fn bands(piece: &Piece, axis: RoundAxis, heights: &[f64], solid: &Solid, work: &Work) -> Vec<Piece> {
     let mut rest = piece.clone();
     let mut out = Vec::new();
@@ -250,7 +250,7 @@ fn bands(piece: &Piece, axis: RoundAxis, heights: &[f64], solid: &Solid, work: &
     out
 }
 
-/// Volume of the hulls of all sectors of a band for each count of sectors, judged by the middle one of three.
+/// Returns the hull volume of all sectors of a band for each number of sectors, estimated from the middle one of three.
 fn volumes(band: &Piece, axis: RoundAxis, solid: &Solid, scratch: &mut HullBuffers, work: &Work) -> Vec<f64> {
     let inside = |p| solid.contains(p, work);
     let out = SECTORS
@@ -293,7 +293,8 @@ mod tests {
         Piece { points: mesh.vertices.clone(), triangles: mesh.triangles.clone(), ..Piece::default() }
     }
 
-    /// A ball with a spherical hollow, shifted and turned so that its axis is not parallel to an axis of the frame.
+    /// A ball with a spherical hollow. It is shifted and rotated so that its axis is not parallel to an axis of the
+    /// frame.
     fn shell() -> Mesh {
         let mut mesh = Mesh::icosphere(0.8, 3);
         let hole = Mesh::icosphere(0.7, 3);

@@ -1,8 +1,8 @@
-//! Where to cut a piece: planes are scored by the volume of the hulls that they and the best next cuts leave.
+//! Search for the best cut of a piece. The score of a plane is the hull volume after this cut and the best next cuts.
 //!
-//! CoACD (Wei et al. 2022) searches a tree of axis-aligned cuts at random; here all planes of a direction are scored
-//! in one pass ([`crate::convex::sweep`]), so that every first cut can be tried with its best second cuts. One cut alone says
-//! little about rings, tubes and bowls: half a ring has the hull of the whole.
+//! CoACD (Wei et al. 2022) searches a tree of axis-aligned cuts at random; here all planes of a direction are scored in
+//! one pass ([`crate::convex::sweep`]), so that every first cut can be tried with its best second cuts. A single cut is
+//! uninformative for rings, tubes and bowls: the hulls of two half rings are together as large as the hull of the ring.
 
 use crate::convex::piece::Piece;
 use crate::convex::solid::Solid;
@@ -12,37 +12,37 @@ use crate::plane::Plane;
 use glamx::{DVec2, DVec3};
 use rayon::prelude::*;
 
-/// Hulls are scored without points that reach out of them by less, in half sizes of the object.
+/// Hulls for scores leave out points that protrude less than this, in half sizes of the object.
 const SLIGHT: f64 = 2e-3;
 
-/// Share of a piece's surplus that a good cut takes away.
+/// Share of a piece's surplus that a good cut removes.
 const PLENTY: f64 = 0.6;
 
 const AXES: [DVec3; 3] = [DVec3::X, DVec3::Y, DVec3::Z];
 
-/// Which planes are tried.
+/// Set of candidate planes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum CutPlanes {
-    /// The frame's axes, the piece's own and diagonals.
+    /// The axes of the frame and of the piece, and diagonals.
     All,
-    /// The frame's axes only.
+    /// Only the axes of the frame.
     Square,
-    /// Through flat faces, where there are any: nothing shows that an open box should fall into its five walls until the
-    /// last of four cuts.
+    /// Planes through flat faces, if any. An open box should be cut into its five walls, but other scores show this
+    /// only at the last of four cuts.
     Flat,
 }
 
-/// How widely the search looks.
+/// Breadth of the search.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Breadth {
-    /// Offsets along each direction of the first cut.
+    /// Number of offsets along each direction of the first cut.
     pub(crate) first: usize,
-    /// … and of the second.
+    /// Number of offsets along each direction of the second cut.
     pub(crate) second: usize,
-    /// First cuts tried with their second cuts.
+    /// Number of first cuts that are tried with second cuts.
     pub(crate) candidates: usize,
     pub(crate) planes: CutPlanes,
-    /// Volume of hulls that one more part must save.
+    /// Hull volume that an additional part must save.
     pub(crate) part_cost: f64,
 }
 
@@ -56,7 +56,7 @@ pub(crate) struct HullBuffers {
     below: Vec<f64>,
 }
 
-/// Volumes of the hulls below and above each of the planes `normal · p = offsets[k]` (ascending).
+/// Computes the volumes of the hulls below and above each of the planes `normal · p = offsets[k]` (ascending).
 pub(crate) fn side_volumes(
     piece: &Piece,
     edges: &[(u32, u32)],
@@ -128,7 +128,7 @@ pub(crate) fn extent(piece: &Piece, normal: DVec3) -> (f64, f64) {
     heights.fold((f64::MAX, f64::MIN), |(low, high), h| (low.min(h), high.max(h)))
 }
 
-/// Evenly spaced offsets inside the piece's extent along `normal`; none when it is too thin to be cut.
+/// Returns evenly spaced offsets inside the piece's extent along `normal`; none when the piece is too thin to cut.
 fn even_offsets(piece: &Piece, normal: DVec3, count: usize) -> Vec<f64> {
     let (low, high) = extent(piece, normal);
     const THINNEST: f64 = 0.02;
@@ -142,7 +142,7 @@ fn add_direction(directions: &mut Vec<DVec3>, d: DVec3) {
     }
 }
 
-/// The frame's axes, the piece's own, and the diagonals between the latter.
+/// Returns the axes of the frame and of the piece, and the diagonals between the latter.
 fn directions(piece: &Piece) -> Vec<DVec3> {
     let mut out = AXES.to_vec();
     let axes = piece.axes();
@@ -160,7 +160,7 @@ fn directions(piece: &Piece) -> Vec<DVec3> {
     out
 }
 
-/// The frame's axes and the directions of the largest flat faces.
+/// Returns the axes of the frame and the directions of the largest flat faces.
 fn flat_directions(piece: &Piece) -> Vec<DVec3> {
     let mut flat: Vec<(DVec3, f64)> = Vec::new();
     for t in &piece.triangles {
@@ -172,7 +172,7 @@ fn flat_directions(piece: &Piece) -> Vec<DVec3> {
             None => flat.push((n, cross.length())),
         }
         if flat.len() > 200 {
-            // Round all over.
+            // The piece is round everywhere.
             return AXES.to_vec();
         }
     }
@@ -188,8 +188,9 @@ fn flat_directions(piece: &Piece) -> Vec<DVec3> {
     out
 }
 
-/// Heights along `normal` beside which large faces lie flat: cuts there leave clean blocks. A hair towards the open side
-/// of the faces, so that neither a cut runs through corners nor a film of one block stays on the other.
+/// Returns heights along `normal` beside large flat faces: cuts there leave clean blocks. Heights are shifted slightly
+/// to the open side of the faces, so that a cut does not run through corners, and no film of one block stays on the
+/// other.
 pub(crate) fn flat_heights(piece: &Piece, normal: DVec3) -> Vec<f64> {
     const HAIR: f64 = 1e-5;
     let mut flat: Vec<(f64, f64)> = Vec::new();
@@ -219,7 +220,7 @@ pub(crate) fn flat_heights(piece: &Piece, normal: DVec3) -> Vec<f64> {
     levels.into_iter().map(|l| l.0).collect()
 }
 
-/// The cheapest that a side's hulls can be made by at most one more cut.
+/// Returns the least cost of a side's hulls after at most one more cut.
 fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut HullBuffers) -> f64 {
     if whole < 2.0 * breadth.part_cost {
         return whole;
@@ -235,7 +236,7 @@ fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut Hull
     best
 }
 
-/// The plane that leaves the least volume of hulls after it and one more cut on each side; `None` when the piece is
+/// Returns the plane with the least hull volume after this cut and one more cut on each side; `None` when the piece is
 /// too thin everywhere.
 pub(crate) fn best_cut(
     piece: &Piece,
@@ -275,7 +276,7 @@ pub(crate) fn best_cut(
             }
             let sum = |k: usize| volumes[k].0 + volumes[k].1;
             let mut chosen: Vec<usize> = Vec::new();
-            // The best two that are not neighbours, and the middle.
+            // The best two offsets that are not neighbours, and the middle.
             let mut order: Vec<usize> = (0..offsets.len()).collect();
             order.sort_by(|&a, &b| sum(a).total_cmp(&sum(b)).then(a.cmp(&b)));
             for k in order {
@@ -301,7 +302,7 @@ pub(crate) fn best_cut(
     let sum = |c: &(Plane, f64, f64, bool)| c.1 + c.2;
     let best = candidates.iter().min_by(|a, b| sum(a).total_cmp(&sum(b)))?;
     let whole = piece.hull_volume(&mut GrowingHull::default());
-    // One cut already removes most of the surplus: no need to look farther.
+    // One cut already removes most of the surplus: the search can stop.
     if whole - sum(best) > PLENTY * surplus {
         return Some(best.0);
     }

@@ -1,4 +1,4 @@
-//! The solid that parts are measured against.
+//! The solid as the reference for parts.
 
 use crate::convex::occupancy::InsideVoxels;
 use crate::convex::repair::TriangleSurface;
@@ -20,7 +20,7 @@ impl Solid {
         Some(Self { surface, inside })
     }
 
-    /// How far a point lies outside, 0 for points less than a voxel (0.02) away that share it with the inside.
+    /// Returns the distance of an outside point; 0 for points inside or in a voxel (0.02) that is partly inside.
     pub(crate) fn distance(&self, p: DVec3) -> f64 {
         if self.inside.contains(p) {
             return 0.0;
@@ -28,14 +28,15 @@ impl Solid {
         self.surface.project_local_point(p, false).point.distance(p)
     }
 
-    /// Whether a point lies inside, up to a voxel there and a little here: walls may be thinner than voxels.
+    /// Returns whether a point lies inside: first by voxels, then exactly near the surface, because walls may be
+    /// thinner than voxels.
     pub(crate) fn contains(&self, p: DVec3, work: &Work) -> bool {
         work.add(QUERY);
         self.distance(p) < 0.004
     }
 
-    /// Farthest that the surface of a hull lies outside the solid (the boundary's share of CoACD's concavity), or the
-    /// first distance above `enough`. Samples lie about `spacing` apart.
+    /// Returns the largest distance of a hull's surface outside the solid (the boundary part of CoACD's concavity), or
+    /// the first distance above `enough`. Samples lie about `spacing` apart.
     pub(crate) fn reach(
         &self,
         hull: impl Iterator<Item = [DVec3; 3]>,
@@ -49,7 +50,7 @@ impl Solid {
         };
         let mut faces: Vec<([DVec3; 3], f64)> =
             hull.map(|t| (t, (t[1] - t[0]).cross(t[2] - t[0]).length())).collect();
-        // Large faces span hollows: they show early that a hull is too concave.
+        // Large faces span hollows, so they show early that a hull is too concave.
         faces.sort_by(|a, b| b.1.total_cmp(&a.1));
         let mut worst = 0.0f64;
         for &(t, area2) in &faces {
@@ -70,7 +71,7 @@ impl Solid {
             if longest < spacing {
                 continue;
             }
-            // Thin faces get as few rows as they are narrow.
+            // Narrow faces get few rows of samples.
             let rows = (area2 / longest / spacing).ceil().clamp(1.0, 64.0) as usize;
             for r in 0..rows {
                 let v = (r as f64 + 0.4) / rows as f64;

@@ -1,8 +1,8 @@
-//! Volumes of the convex hulls on either side of many parallel planes, in one pass each way.
+//! Volumes of the convex hulls on either side of many parallel planes, in one pass per direction.
 //!
-//! The hull of the part below a plane only grows as the plane rises, so one incremental hull that takes the points in
-//! the order of their heights knows the volume below every plane on its way. The outline that a plane cuts out of the
-//! surface lies inside the hull of every higher plane, so it may stay in as well.
+//! The hull of the part below a plane only grows as the plane rises. So one incremental hull that takes points by
+//! ascending height gives the volume below every plane. The outline of a plane's cut lies inside the hull of every
+//! higher plane, so its points can stay.
 
 use crate::outline::{monotone_chain, sort};
 use glamx::{DVec2, DVec3};
@@ -12,18 +12,18 @@ struct SweptFace {
     corners: [u32; 3],
     /// The face across the edge from corner `k` to corner `k + 1`.
     across: [u32; 3],
-    /// A corner, in steps.
+    /// A corner, in integer steps.
     foot: DVec3,
-    /// Normal as long as twice the area, in square steps.
+    /// Normal with a length of twice the area, in square steps.
     normal: DVec3,
     alive: bool,
 }
 
-/// Points are rounded to this many steps a unit. With coordinates of at most 2¹⁵ steps every determinant is a whole
-/// number below 2⁵², which doubles hold exactly: no rounding, hence no tolerances and no slivers that tilt anywhere.
+/// Points are rounded to this number of steps per unit. With coordinates of at most 2¹⁵ steps every determinant is a
+/// whole number below 2⁵², which is exact in doubles. So there are no rounding errors, tolerances or tilted slivers.
 const STEPS: f64 = 32_768.0;
 
-/// A convex hull that takes points one by one, with coordinates in [−1, 1], and keeps count of its volume.
+/// Incremental convex hull of points with coordinates in [−1, 1], with its volume.
 #[derive(Default)]
 pub(crate) struct GrowingHull {
     points: Vec<DVec3>,
@@ -37,7 +37,7 @@ pub(crate) struct GrowingHull {
     stamp: Vec<u32>,
     round: u32,
     horizon: Vec<(u32, u32, u32, u8)>,
-    /// New face that starts at a vertex of the horizon.
+    /// New face that starts at each vertex of the horizon.
     starting: Vec<u32>,
     volume: f64,
     slight: f64,
@@ -48,7 +48,7 @@ pub(crate) struct GrowingHull {
 const NONE: u32 = u32::MAX;
 
 impl GrowingHull {
-    /// Empties the hull. Points that reach out of it by less than `slight` will be left out.
+    /// Empties the hull. Points that protrude from it by less than `slight` will be left out.
     pub(crate) fn clear(&mut self, slight: f64) {
         self.slight = slight;
         self.points.clear();
@@ -63,7 +63,7 @@ impl GrowingHull {
         self.volume = 0.0;
     }
 
-    /// Steps of work since the last call.
+    /// Returns the steps of work since the last call.
     pub(crate) fn take_steps(&mut self) -> u64 {
         std::mem::take(&mut self.steps_taken)
     }
@@ -76,7 +76,7 @@ impl GrowingHull {
         }
     }
 
-    /// Volume of the hull of all points pushed so far; 0 while they are flat.
+    /// Returns the volume of the hull of all points so far; 0 while they are coplanar.
     pub(crate) fn volume(&mut self) -> f64 {
         if self.faces.is_empty() {
             self.start();
@@ -128,7 +128,7 @@ impl GrowingHull {
         }
     }
 
-    /// Six times the volume between a face and a point in steps, positive exactly when the point sees the face.
+    /// Returns six times the volume between a face and a point in steps; positive exactly when the point sees the face.
     fn height(&self, f: u32, q: DVec3) -> f64 {
         let face = &self.faces[f as usize];
         face.normal.dot(q - face.foot)
@@ -178,11 +178,11 @@ impl GrowingHull {
             }
         }
         self.steps_taken += 3 * self.visible.len() as u64;
-        // A point far beyond the rim of a flat hull is also low above every face it sees, but gains volume.
+        // A point far beyond the rim of a flat hull is also low above every face that it sees, but adds volume.
         if highest < (self.slight * STEPS).powi(2) && gained < 5e-3 * self.slight * 6.0 * STEPS.powi(3) {
             return;
         }
-        // The horizon must be one simple loop, or rounding has torn the visible region.
+        // The horizon must be one simple loop. Otherwise rounding has split the visible region.
         for (n, &(a, ..)) in self.horizon.iter().enumerate() {
             self.starting[a as usize] = n as u32;
         }
@@ -237,19 +237,19 @@ impl GrowingHull {
         }
     }
 
-    /// Whether a point lies outside by more than the tolerance.
+    /// Returns whether a point lies outside by more than the tolerance.
     pub(crate) fn leaves_out(&self, p: DVec3) -> bool {
         let q = (p * STEPS).round();
         let least = self.slight * STEPS;
         self.faces.iter().any(|f| f.alive && f.normal.dot(q - f.foot) > least * f.normal.length())
     }
 
-    /// Corner points of the hull's faces.
+    /// Returns the corner points of the hull's faces.
     pub(crate) fn triangles(&self) -> impl Iterator<Item = [DVec3; 3]> + '_ {
         self.faces.iter().filter(|f| f.alive).map(|f| f.corners.map(|i| self.points[i as usize]))
     }
 
-    /// The hull's vertices, in the order in which they were pushed.
+    /// Returns the hull's vertices, in the order of insertion.
     pub(crate) fn vertices(&self) -> Vec<DVec3> {
         let mut used = vec![false; self.points.len()];
         for f in self.faces.iter().filter(|f| f.alive) {
@@ -261,7 +261,8 @@ impl GrowingHull {
     }
 }
 
-/// A positively oriented tetrahedron of far-apart points, in steps; `None` when all are within a step of a plane.
+/// Returns a positively oriented tetrahedron of far-apart points, in steps; `None` when all are within a step of a
+/// plane.
 fn extreme_simplex(points: &[DVec3]) -> Option<[usize; 4]> {
     let farthest = |measure: &dyn Fn(DVec3) -> f64| {
         let mut best: Option<(f64, usize)> = None;
@@ -288,7 +289,7 @@ fn extreme_simplex(points: &[DVec3]) -> Option<[usize; 4]> {
     Some(if (points[k] - a).dot(normal) > 0.0 { [0, i, j, k] } else { [i, 0, j, k] })
 }
 
-/// The convex outline of coplanar points.
+/// Reduces coplanar points to their convex outline.
 pub(crate) fn outline(points: &mut Vec<(DVec2, DVec3)>) {
     if points.len() < 4 {
         return;

@@ -2,19 +2,19 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Sphere recognition: by shape, not by name.
+/// Sphere recognition, by shape only.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SphereConfig {
     /// Random minimal samples (released code: 1000).
     pub samples: usize,
-    /// A point belongs to the sphere when nearer than this, metres …
+    /// Distance from the sphere below which a point is an inlier, metres.
     pub inlier_distance: f64,
-    /// … or nearer than this share of the radius, whichever is larger.
+    /// Distance for inliers as a share of the radius; the larger distance is used.
     pub inlier_radius_share: f64,
-    /// Share of the surface points that must belong to it.
+    /// Smallest share of the surface points that must be inliers.
     pub min_inlier_share: f64,
-    /// Share of the sphere's directions that must have been seen.
+    /// Smallest share of the sphere's directions that must have been seen.
     pub min_coverage: f64,
     /// Smallest radius, metres.
     pub min_radius: f64,
@@ -42,12 +42,12 @@ impl Default for SphereConfig {
 pub struct PrimitiveConfig {
     /// Whether boxes and cylinders are recognised.
     pub enabled: bool,
-    /// A point belongs to the solid when nearer than this to its surface, metres, and its normal agrees.
+    /// Distance from the solid's surface below which a point with a matching normal is an inlier, metres.
     pub inlier_distance: f64,
-    /// Share of the surface points that must belong to it.
+    /// Smallest share of the surface points that must be inliers.
     pub min_inlier_share: f64,
-    /// Largest relative difference of its volume from that of the mesh of the same points: hollow objects are not
-    /// solids.
+    /// Largest relative difference of the solid's volume from that of the mesh of the same points: hollow objects are
+    /// not solids.
     pub max_volume_error: f64,
 }
 

@@ -1,6 +1,6 @@
 //! Small dense linear systems.
 
-/// Solves `a x = b` by Gauss-Jordan elimination with row pivots; `None` where a pivot is at most `least`, or the solution
+/// Solves `a x = b` by Gauss-Jordan elimination with row pivots; `None` if a pivot is at most `least` or the solution
 /// is not finite.
 pub(super) fn solve<const N: usize>(mut a: [[f64; N]; N], mut b: [f64; N], least: f64) -> Option<[f64; N]> {
     for k in 0..N {

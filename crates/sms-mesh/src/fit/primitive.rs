@@ -1,7 +1,7 @@
-//! Boxes and cylinders that explain a cloud within its noise.
+//! Boxes and cylinders fitted to a cloud within its noise.
 //!
-//! A frame is guessed from normals (RANSAC; Fischler and Bolles 1981, on oriented points as in Schnabel et al. 2007) and
-//! refined by iteratively reweighted least squares on the distances of points to the face that they lie on.
+//! A frame is guessed from normals (RANSAC; Fischler and Bolles 1981, on oriented points as in Schnabel et al. 2007).
+//! It is refined by iteratively reweighted least squares on the distances of points to their face.
 
 use crate::fit::config::PrimitiveConfig;
 use crate::fit::linear::solve;
@@ -24,17 +24,17 @@ pub struct PrimitiveFit {
     pub inlier_share: f64,
 }
 
-/// Random frames that are tried.
+/// Number of random frames.
 const TRIALS: usize = 160;
-/// Points that trials are scored on.
+/// Number of points that score a trial.
 const SAMPLE: usize = 1500;
-/// Normals within this of a face's (cosine) lie on it.
+/// Smallest cosine between the normal of a point and that of its face.
 const ON_FACE: f64 = 0.9;
 /// Rounds of refinement.
 const ROUNDS: usize = 40;
 
-/// Fits a box and a cylinder and returns the better one, whether or not it explains the points; `None` where the cloud
-/// is too small or degenerate. `upright` is tried as an axis besides random directions: objects tend to stand along it.
+/// Fits a box and a cylinder and returns the better one, even if the fit is poor; `None` if the cloud is too small or
+/// degenerate. `upright` is tried as an axis besides random directions: objects tend to stand upright.
 ///
 /// ```
 /// use sms_core::{EntityShape, Mesh, PointCloud, Seed, glamx::DVec3};
@@ -96,7 +96,8 @@ struct FittedSolid {
     size: DVec3,
 }
 
-/// Signed distance to a face's surface (positive outside), its normal, and the index of the size it moves with.
+/// Signed distance to the surface of a face (positive outside), its normal, and the index of the size that moves the
+/// face.
 struct NearestFace {
     distance: f64,
     normal: DVec3,
@@ -104,8 +105,8 @@ struct NearestFace {
 }
 
 impl FittedSolid {
-    /// The face that a point with normal `n` (both in `S`) lies on: the one whose normal agrees best, weighed with how
-    /// far the point is from it.
+    /// Returns the face of a point with normal `n` (both in `S`): the best agreement of normals, weighted by the
+    /// distance of the point from the face.
     fn face(&self, p: DVec3, n: DVec3) -> NearestFace {
         let reach = 0.3 * self.size.min_element();
         let mut best = (f64::NEG_INFINITY, NearestFace { distance: 0.0, normal: DVec3::Z, size: 2 });
@@ -150,7 +151,7 @@ impl FittedSolid {
     }
 }
 
-/// Distance of `p` (in `S`) to the surface of the solid, metres.
+/// Returns the distance of `p` (in `S`) to the surface of the solid, metres.
 fn surface_distance(solid: &FittedSolid, p: DVec3) -> f64 {
     let q = if solid.is_box {
         p.abs() - solid.size
@@ -160,7 +161,7 @@ fn surface_distance(solid: &FittedSolid, p: DVec3) -> f64 {
     (q.max(DVec3::ZERO).length() + q.max_element().min(0.0)).abs()
 }
 
-/// The best of random frames, with sizes from where the points are.
+/// Returns the best of random frames, with sizes from the extent of the points.
 fn guess<const BOX: bool>(
     cloud: &Points,
     upright: Option<DVec3>,
@@ -172,7 +173,8 @@ fn guess<const BOX: bool>(
     let mut frames = Vec::with_capacity(TRIALS);
     for trial in 0..TRIALS {
         let (a, b) = (cloud.normals[rng.random_range(0..count)], cloud.normals[rng.random_range(0..count)]);
-        // A box's first axis is a face's normal; a cylinder's axis is square to its side or along its ends' normals.
+        // The first axis of a box is the normal of a face. The axis of a cylinder is perpendicular to the normals of
+        // its side, or parallel to those of its ends.
         let axis = match upright.filter(|_| trial % 2 == 0) {
             Some(axis) => axis,
             None if BOX || trial % 4 == 1 => a,
@@ -187,7 +189,7 @@ fn guess<const BOX: bool>(
         };
         frames.push(DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z)).normalize());
     }
-    // Scores come back in the frames' order whatever the threads do.
+    // Scores come back in the order of the frames, independent of threads.
     let solids: Vec<Option<(f64, FittedSolid)>> = frames
         .par_iter()
         .map(|&rotation| {
@@ -198,7 +200,7 @@ fn guess<const BOX: bool>(
     solids.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0)).map(|best| best.1)
 }
 
-/// The solid of this orientation that the points outline.
+/// Returns the solid of this orientation around the points.
 fn sized<const BOX: bool>(cloud: &Points, rotation: DQuat) -> Option<FittedSolid> {
     let inverse = rotation.inverse();
     let local: Vec<(DVec3, DVec3)> =
@@ -221,19 +223,21 @@ fn sized<const BOX: bool>(cloud: &Points, rotation: DQuat) -> Option<FittedSolid
     usable.then(|| FittedSolid { is_box: BOX, x_ws: DPose3::from_parts(rotation * center, rotation), size })
 }
 
-/// Where points with normals end along an axis: at the face that was seen there, else where its neighbours' edges are.
+/// Returns the end of points with normals along an axis: at the face if it was seen, else at the edges of neighbouring
+/// faces.
 fn end(local: &[(DVec3, DVec3)], axis: usize, sign: f64) -> f64 {
     let on_face: Vec<f64> =
         local.iter().filter(|(_, n)| n[axis] * sign > ON_FACE).map(|(p, _)| p[axis]).collect();
     if on_face.len() * 50 > local.len() {
         return median(on_face);
     }
-    // Evenly seen sides reach as far beyond their last percent as that reaches beyond the last two.
+    // Extrapolates evenly seen sides: the end is as far beyond the last percent as the last percent is beyond the last
+    // two.
     let all: Vec<f64> = local.iter().map(|(p, _)| p[axis] * sign).collect();
     sign * (2.0 * quantile(all.clone(), 0.99) - quantile(all, 0.98))
 }
 
-/// Recomputes the ends that were not seen: the guess's frame was slightly rotated.
+/// Recomputes unseen ends: the guessed frame was slightly rotated.
 fn settled(cloud: &Points, mut solid: FittedSolid) -> FittedSolid {
     let x_sw = solid.x_ws.inverse();
     let local: Vec<(DVec3, DVec3)> = cloud
@@ -275,7 +279,7 @@ fn circle_through(points: &[DVec3]) -> Option<(DVec3, f64)> {
     (radius.is_finite() && center.is_finite()).then(|| (mean + center, radius))
 }
 
-/// Rotation, translation and sizes by reweighted least squares.
+/// Refines rotation, translation and sizes by reweighted least squares.
 fn refine(cloud: &Points, mut solid: FittedSolid, config: &PrimitiveConfig) -> FittedSolid {
     let wide = 4.0 * config.inlier_distance;
     let mut scale = wide;
@@ -341,9 +345,9 @@ fn accumulate(
     }
 }
 
-/// Solves the damped normal equations: unknowns that the points do not determine keep their value.
+/// Solves the damped normal equations: undetermined unknowns keep their value.
 fn solve_damped(mut a: [[f64; 9]; 9], right: [f64; 9]) -> Option<[f64; 9]> {
-    // Turns count in radians, lengths in metres: damp each by its own kind.
+    // Rotations are in radians and sizes in metres, so each kind has its own damping.
     let largest = |a: &[[f64; 9]; 9], from: usize, to: usize| (from..to).map(|k| a[k][k]).fold(0.0, f64::max);
     let (turns, lengths) = (largest(&a, 0, 3), largest(&a, 3, 9));
     for (k, row) in a.iter_mut().enumerate() {
@@ -374,7 +378,7 @@ fn describe(cloud: &Points, solid: &FittedSolid, config: &PrimitiveConfig) -> Pr
     }
 }
 
-/// Whether a normal agrees with the surface there. Near an edge any normal does.
+/// Returns whether a normal agrees with the surface at a point. Near an edge, any normal does.
 fn agrees(solid: &FittedSolid, p: DVec3, n: DVec3) -> bool {
     const ROUNDED_M: f64 = 0.004;
     let edge = if solid.is_box {
@@ -385,8 +389,8 @@ fn agrees(solid: &FittedSolid, p: DVec3, n: DVec3) -> bool {
     edge || solid.face(p, n).normal.dot(n) > 0.7
 }
 
-/// The surface of a primitive as a mesh fine enough for colours by vertex: edges at most `pitch` long where that takes
-/// no more than about 4000 triangles.
+/// Returns the surface of a primitive as a mesh that is fine enough for vertex colours: edges are at most `pitch` long,
+/// unless this needs more than about 4000 triangles.
 pub fn primitive_mesh(shape: &EntityShape, pitch: f64) -> Option<Mesh> {
     match shape {
         EntityShape::Box { x_ws, half_extents } => {
@@ -400,7 +404,7 @@ pub fn primitive_mesh(shape: &EntityShape, pitch: f64) -> Option<Mesh> {
     }
 }
 
-/// A box whose faces are grids.
+/// A box with a grid on each face.
 fn grid_box(half: DVec3, pitch: f64) -> Mesh {
     let steps = (2.0 * half / pitch).ceil().clamp(DVec3::ONE, DVec3::splat(40.0));
     let counts = steps.to_array().map(|n| n as u32);
@@ -430,15 +434,15 @@ fn grid_box(half: DVec3, pitch: f64) -> Mesh {
     mesh
 }
 
-/// A cylinder with rings along its side and on its ends, whose volume is that of the exact one.
+/// A cylinder with rings along its side and on its ends, with the volume of the exact cylinder.
 fn grid_cylinder(radius: f64, half_length: f64, pitch: f64) -> Mesh {
     let around = ((std::f64::consts::TAU * radius / pitch).ceil() as u32).clamp(32, 64);
     let along = ((2.0 * half_length / pitch).ceil() as u32).clamp(1, 24);
     let inward = ((radius / pitch).ceil() as u32).clamp(1, 8);
-    // A polygon of the circle's area: neither mass nor picture shrinks.
+    // A polygon with the area of the circle, so that mass and appearance do not shrink.
     let angle = std::f64::consts::TAU / f64::from(around);
     let outer = radius * (angle / angle.sin()).sqrt();
-    // Rings from the middle of the lower end to that of the upper one.
+    // Rings from the middle of the lower end to the middle of the upper end.
     let mut rings: Vec<(f64, f64)> = Vec::new();
     rings.extend((1..=inward).map(|k| (outer * f64::from(k) / f64::from(inward), -half_length)));
     rings.extend((1..along).map(|k| (outer, half_length * (2.0 * f64::from(k) / f64::from(along) - 1.0))));
@@ -476,7 +480,7 @@ mod tests {
         (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0
     }
 
-    /// Even samples of a mesh with noise along the normals. Faces whose normal `keep` rejects are hidden.
+    /// Even samples of a mesh with noise along the normals. Faces with a normal rejected by `keep` are hidden.
     fn samples(mesh: &Mesh, n: usize, noise: f64, keep: impl Fn(DVec3) -> bool, seed: u64) -> PointCloud {
         let mut rng = Seed(seed).rng();
         let areas: Vec<f64> = (0..mesh.triangles.len())
@@ -506,7 +510,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
-        /// Noisy boxes and cylinders come back with their sizes, whatever their pose and with a side unseen.
+        /// The fit recovers the sizes of noisy boxes and cylinders in any pose, with one side unseen.
         #[test]
         fn noisy_solids_come_back(
             x in 0.02..0.1f64, y in 0.02..0.1f64, z in 0.02..0.1f64,
@@ -538,7 +542,7 @@ mod tests {
                 wanted.sort_by(f64::total_cmp);
             }
             for (a, b) in found.iter().zip(wanted) {
-                // The hidden end is only known from the ends of the sides.
+                // The hidden end is known only from the ends of the sides.
                 prop_assert!((a - b).abs() < 0.0015, "{found:?} {wanted:?}");
             }
         }

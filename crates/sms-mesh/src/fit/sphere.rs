@@ -14,9 +14,9 @@ pub struct SphereFit {
     pub center: DVec3,
     /// Radius, metres.
     pub radius: f64,
-    /// Share of the points that belong to it.
+    /// Share of the points that are inliers.
     pub inlier_share: f64,
-    /// Share of the sphere's directions that inliers cover.
+    /// Share of the sphere's directions covered by inliers.
     pub coverage: f64,
     /// Robust standard deviation of the inliers' distances, metres.
     pub sigma: f64,
@@ -35,9 +35,9 @@ pub struct RaySample {
     pub sigma: f64,
 }
 
-/// Finds the sphere that most of `points` lie on, and refines it to the geometric least-squares sphere of its inliers
-/// (robustly weighted, corrected for the outward bias of noise on a curved surface). `None` when no sphere of
-/// allowed size holds even a fifth of the points.
+/// Finds the sphere with the most `points` on it, and refines it to the geometric least-squares sphere of its inliers
+/// (robustly weighted, corrected for the outward bias of noise on a curved surface). Returns `None` when every sphere
+/// of allowed size has less than a fifth of the points.
 ///
 /// ```
 /// use sms_core::{Mesh, Seed};
@@ -52,7 +52,7 @@ pub fn fit_sphere(points: &[DVec3], config: &SphereConfig, seed: Seed) -> Option
     let mut rng = seed.derive("sphere").rng();
     let stride = points.len().div_ceil(3000);
     let sample: Vec<DVec3> = points.iter().copied().step_by(stride).collect();
-    // Truncated squares (MSAC; Torr and Zisserman 2000) prefer the tight fit among equal counts.
+    // Truncated squares (MSAC; Torr and Zisserman 2000) prefer the tightest fit among equal counts.
     let cost = |center: DVec3, radius: f64| -> f64 {
         let reach = inlier_distance(config, radius);
         sample.iter().map(|p| (((p.distance(center) - radius) / reach).powi(2)).min(1.0)).sum()
@@ -66,7 +66,7 @@ pub fn fit_sphere(points: &[DVec3], config: &SphereConfig, seed: Seed) -> Option
         })
         .collect();
     candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // Four noisy points of a shallow cap give a rough sphere at best: several of the best are refined (locally
+    // Four noisy points of a shallow cap give only a rough sphere, so several of the best ones are refined (locally
     // optimised RANSAC; Chum, Matas and Kittler 2003).
     let (found, center, radius) = candidates
         .iter()
@@ -87,7 +87,7 @@ pub fn fit_sphere(points: &[DVec3], config: &SphereConfig, seed: Seed) -> Option
 }
 
 impl SphereFit {
-    /// Measures the inlier share and the coverage of `points` on a given sphere; `sigma` is taken over.
+    /// Measures the inlier share and the coverage of `points` on a given sphere; `sigma` is stored as given.
     pub fn of_sphere(
         points: &[DVec3],
         center: DVec3,
@@ -107,8 +107,8 @@ impl SphereFit {
         }
     }
 
-    /// Whether the fit is good enough to treat the object as a ball: most of the cloud lies on it, enough of it was
-    /// seen, and it is not a small patch of a larger surface.
+    /// Returns whether the fit is good enough to treat the object as a ball: most of the cloud lies on the sphere,
+    /// enough of the sphere was seen, and the cloud is not a small patch of a larger surface.
     pub fn explains(&self, points: &[DVec3], config: &SphereConfig) -> bool {
         let extent = Aabb::of_points(points.iter().copied()).map_or(0.0, |b| b.extents().max_element());
         self.inlier_share >= config.min_inlier_share
@@ -122,7 +122,7 @@ fn inlier_distance(config: &SphereConfig, radius: f64) -> f64 {
     config.inlier_distance.max(config.inlier_radius_share * radius)
 }
 
-/// The sphere through four points; `None` when they lie (nearly) in a plane.
+/// Returns the sphere through four points; `None` when they are (nearly) coplanar.
 fn sphere_through(p: [DVec3; 4]) -> Option<(DVec3, f64)> {
     let (u, v, w) = (p[1] - p[0], p[2] - p[0], p[3] - p[0]);
     let volume = 2.0 * u.dot(v.cross(w));
@@ -132,7 +132,7 @@ fn sphere_through(p: [DVec3; 4]) -> Option<(DVec3, f64)> {
     offset.is_finite().then(|| (p[0] + offset, offset.length()))
 }
 
-/// Share of 162 even directions that have a point within 12° of them.
+/// Returns the share of 162 even directions with a point within 12°.
 fn coverage(points: &[DVec3], center: DVec3) -> f64 {
     let directions = sms_core::Mesh::icosphere(1.0, 2).vertices;
     let unit: Vec<DVec3> = points.iter().map(|&p| (p - center).normalize_or_zero()).collect();
@@ -154,7 +154,7 @@ fn refine(points: &[DVec3], mut center: DVec3, mut radius: f64, reach: f64) -> (
         let residuals: Vec<f64> = points.iter().map(|p| p.distance(center) - radius).collect();
         let near: Vec<f64> = residuals.iter().map(|r| r.abs()).filter(|&r| r < 2.0 * reach).collect();
         sigma = (1.4826 * median(near)).max(1e-6);
-        // Wide at first, so that a rough start can travel.
+        // A wide scale at first allows large corrections of a rough start.
         let scale = if round < 4 { 3.0 * reach } else { 4.685 * sigma };
         let rows = points.iter().zip(&residuals).map(|(p, &r)| {
             let n = (*p - center).normalize_or_zero();
@@ -171,9 +171,9 @@ fn refine(points: &[DVec3], mut center: DVec3, mut radius: f64, reach: f64) -> (
     (center, radius - sigma * sigma / radius.max(1e-6), sigma)
 }
 
-/// Refines a sphere on measured rays: residuals are along the rays, where the sensor's noise is, and rays that graze
-/// the sphere are left out by the model's own geometry, not by their residual, which keeps the fit unbiased.
-/// `floor` is the height of a plane that the sphere may rest on, with its standard deviation.
+/// Refines a sphere on measured rays. Residuals are along the rays, like the sensor's noise. Rays that graze the sphere
+/// are excluded by the model's geometry instead of their residual, which keeps the fit unbiased. `floor` is the height
+/// of a plane that the sphere may rest on, with its standard deviation.
 pub fn refine_on_rays(
     rays: &[RaySample],
     mut center: DVec3,
@@ -202,7 +202,7 @@ pub fn refine_on_rays(
         let mut weighted: Vec<([f64; 4], f64, f64)> =
             rows.into_iter().map(|(j, r)| (j, r, tukey(r, scale))).collect();
         if let Some((height, sigma)) = floor {
-            // Rays of one frame share errors, so the plane counts as a few hundred of them, not as one.
+            // Rays of one frame share errors, so the plane counts as a few hundred of them instead of one.
             let weight = weighted.len() as f64 * 0.05;
             let r = (center.z - radius - height) / sigma;
             weighted.push(([0.0, 0.0, 1.0 / sigma, -1.0 / sigma], r, weight * tukey(r, 10.0)));
@@ -220,7 +220,7 @@ pub fn refine_on_rays(
     Some((center, radius))
 }
 
-/// Minimises Σ w (r + J x)² for four unknowns; `None` when they are not determined.
+/// Minimises Σ w (r + J x)² for four unknowns; `None` if they are not determined.
 fn solve_normal(rows: impl Iterator<Item = ([f64; 4], f64, f64)>) -> Option<[f64; 4]> {
     let (mut a, mut b) = ([[0.0; 4]; 4], [0.0; 4]);
     for (j, r, w) in rows {

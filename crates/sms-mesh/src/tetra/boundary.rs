@@ -4,9 +4,9 @@ use crate::tetra::delaunay::{FACES, NONE, Tetrahedralization};
 use sms_core::Mesh;
 use std::collections::BTreeMap;
 
-/// The outer faces of the `inside` tetrahedra. Where the solid touches itself along an edge or at a corner, the edge
-/// or corner is split so that every sheet has its own: the result is always closed and consistently oriented.
-/// Returns the mesh and, per vertex, the point it came from ([`NONE`] for vertices put on split edges).
+/// Returns the outer faces of the `inside` tetrahedra. Where the solid touches itself along an edge or at a corner, the
+/// edge or corner is split so that every sheet has its own. The result is always closed and consistently oriented. Also
+/// returns the source point of each vertex ([`NONE`] for vertices on split edges).
 pub fn boundary(mesh: &Tetrahedralization, inside: &[bool]) -> (Mesh, Vec<u32>) {
     let is_inside = |t: u32| t != NONE && inside[t as usize];
     let mut face_id = vec![[NONE; 4]; inside.len()];
@@ -22,7 +22,7 @@ pub fn boundary(mesh: &Tetrahedralization, inside: &[bool]) -> (Mesh, Vec<u32>) 
             }
         }
     }
-    // Corner c of face f has slot 3 f + c; slots that are the same vertex of the same sheet are united.
+    // Corner c of face f has slot 3 f + c; slots of the same vertex of the same sheet are united.
     let mut parent: Vec<u32> = (0..faces.len() as u32 * 3).collect();
     let corner_slot = |face: u32, point: u32, faces: &[(u32, u8)]| -> u32 {
         let (t, k) = faces[face as usize];
@@ -67,7 +67,7 @@ pub fn boundary(mesh: &Tetrahedralization, inside: &[bool]) -> (Mesh, Vec<u32>) 
     (out, source)
 }
 
-/// The boundary face that bounds the same wedge of solid around edge (a, b) as face `face` of `t`.
+/// Returns the boundary face that bounds the same wedge of solid around edge (a, b) as face `face` of `t`.
 fn partner_across(
     mesh: &Tetrahedralization,
     is_inside: &impl Fn(u32) -> bool,
@@ -80,21 +80,21 @@ fn partner_across(
     let mut entered = mesh.tetrahedra[t as usize][face];
     loop {
         let tet = mesh.tetrahedra[t as usize];
-        // Leave through the other face that holds the edge: the one opposite the corner that is neither on the edge
-        // nor opposite the face we came through.
+        // Leave through the other face with the edge: the one opposite the corner that is neither on the edge nor
+        // opposite the entered face.
         let exit = (0..4).find(|&k| tet[k] != a && tet[k] != b && tet[k] != entered).unwrap_or(0);
         let next = mesh.neighbors[t as usize][exit];
         if !is_inside(next) {
             return (t, exit);
         }
-        // In the next tetrahedron we came through the face opposite its corner that this one lacks.
+        // The entered face of the next tetrahedron is opposite its corner that this tetrahedron lacks.
         entered =
             mesh.tetrahedra[next as usize].iter().copied().find(|v| !tet.contains(v)).unwrap_or(entered);
         t = next;
     }
 }
 
-/// Two sheets can still run through the same two vertices; such an edge gets one new vertex per sheet in its middle.
+/// Two sheets can still share an edge through the same two vertices; each sheet gets a new vertex in the middle.
 fn split_shared_edges(mesh: &mut Mesh, source: &mut Vec<u32>, partner: impl Fn(usize, u32, u32) -> usize) {
     let mut directed: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
     for (f, &[a, b, c]) in mesh.triangles.iter().enumerate() {
@@ -161,7 +161,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
-        // Random sets of tetrahedra touch themselves along edges and corners everywhere.
+        // Random sets of tetrahedra touch themselves at many edges and corners.
         #[test]
         fn any_set_of_tetrahedra_has_a_closed_boundary(seed in 0u64..1000, share in 0.1f64..0.9) {
             let mut rng = sms_core::Seed(seed).rng();

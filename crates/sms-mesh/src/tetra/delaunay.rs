@@ -1,15 +1,15 @@
 //! Delaunay tetrahedralisation by incremental insertion (Bowyer 1981, Watson 1981) on exact predicates.
 //!
-//! The outside of the convex hull is filled with *ghost* tetrahedra that join each hull face to a vertex at
-//! infinity, so that inserting a point outside is the same as inserting one inside. Exact predicates with strict
-//! conflicts make every cavity star-shaped, whatever the degeneracy: grids, cospherical sets and duplicates need no
-//! special case and no perturbation.
+//! The outside of the convex hull is filled with *ghost* tetrahedra that join each hull face to a vertex at infinity,
+//! so that points outside and inside are inserted in the same way. Exact predicates with strict conflicts make every
+//! cavity star-shaped, even in degenerate cases: grids, cospherical sets and duplicates need no special case and no
+//! perturbation.
 
 use crate::predicates::{collinear, in_sphere, orient};
 use crate::tetra::hilbert::insertion_order;
 use glamx::DVec3;
 
-/// No tetrahedron: the neighbour beyond a hull face.
+/// Marks a missing neighbour beyond a hull face.
 pub const NONE: u32 = u32::MAX;
 /// The vertex at infinity.
 const GHOST: u32 = u32::MAX;
@@ -22,7 +22,7 @@ pub const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 /// Tetrahedra that fill the convex hull of points, each with an empty circumsphere.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Tetrahedralization {
-    /// The points that were given, in their order.
+    /// Input points in their order.
     pub points: Vec<DVec3>,
     /// Corner indices; every tetrahedron has positive volume.
     pub tetrahedra: Vec<[u32; 4]>,
@@ -33,18 +33,18 @@ pub struct Tetrahedralization {
 }
 
 impl Tetrahedralization {
-    /// The corners of tetrahedron `t`.
+    /// Returns the corners of tetrahedron `t`.
     pub fn corners(&self, t: usize) -> [DVec3; 4] {
         self.tetrahedra[t].map(|i| self.points[i as usize])
     }
 
-    /// Volume of tetrahedron `t`.
+    /// Returns the volume of tetrahedron `t`.
     pub fn volume(&self, t: usize) -> f64 {
         let [a, b, c, d] = self.corners(t);
         (d - a).dot((b - a).cross(c - a)) / 6.0
     }
 
-    /// Centre of the circumsphere of tetrahedron `t`; `None` where rounding hides it (a nearly flat tetrahedron).
+    /// Returns the circumcentre of tetrahedron `t`; `None` if the tetrahedron is too flat for floating-point precision.
     pub fn circumcenter(&self, t: usize) -> Option<DVec3> {
         let [a, b, c, d] = self.corners(t);
         let (u, v, w) = (b - a, c - a, d - a);
@@ -55,7 +55,7 @@ impl Tetrahedralization {
     }
 }
 
-/// The Delaunay tetrahedralisation of `points`; without tetrahedra when all points lie in one plane.
+/// Returns the Delaunay tetrahedralisation of `points`; it has no tetrahedra when all points are coplanar.
 ///
 /// ```
 /// use sms_core::glamx::DVec3;
@@ -83,7 +83,7 @@ pub fn delaunay(points: &[DVec3]) -> Tetrahedralization {
     builder.finish()
 }
 
-/// Four points of positive volume.
+/// Returns four points that are not coplanar.
 fn first_simplex(points: &[DVec3], order: &[u32]) -> Option<[u32; 4]> {
     let at = |i: u32| points[i as usize];
     let a = *order.first()?;
@@ -98,7 +98,7 @@ struct DelaunayBuilder<'a> {
     tets: Vec<[u32; 4]>,
     neighbors: Vec<[u32; 4]>,
     free: Vec<u32>,
-    /// Per tetrahedron, `2 · stamp` when the current insertion found it in conflict and `2 · stamp + 1` when not.
+    /// Per tetrahedron: `2 · stamp` if the current insertion found a conflict, `2 · stamp + 1` if it found none.
     mark: Vec<u32>,
     stamp: u32,
     last: u32,
@@ -128,7 +128,7 @@ impl<'a> DelaunayBuilder<'a> {
         builder.tets.push(seed);
         builder.neighbors.push([1, 2, 3, 4]);
         for i in 0..4 {
-            // Seen from the ghost the face turns the other way, hence the swap.
+            // Seen from the ghost, the face has the opposite orientation, hence the swap.
             let mut ghost = seed;
             ghost[i] = GHOST;
             let (x, y) = ((i + 1) % 4, (i + 2) % 4);
@@ -166,15 +166,15 @@ impl<'a> DelaunayBuilder<'a> {
         match tet.iter().position(|&v| v == GHOST) {
             None => in_sphere(self.at(tet[0]), self.at(tet[1]), self.at(tet[2]), self.at(tet[3]), q) > 0.0,
             Some(ghost) => {
-                // A ghost's sphere is the half space beyond its hull face; in the face's own plane it is the face's
-                // circumcircle, which the solid neighbour's sphere cuts out.
+                // The sphere of a ghost is the half space beyond its hull face. In the plane of the face it is the
+                // circumcircle of the face, where the sphere of the solid neighbour intersects the plane.
                 let side = self.face_orient(tet, ghost, q);
                 side < 0.0 || (side == 0.0 && self.in_conflict(self.neighbors[t as usize][ghost], q))
             }
         }
     }
 
-    /// A tetrahedron that contains `q`, or a ghost whose hull face sees it.
+    /// Returns a tetrahedron that contains `q`, or a ghost whose hull face sees `q`.
     fn locate(&self, q: DVec3) -> u32 {
         let mut t = self.last;
         if let Some(ghost) = self.tets[t as usize].iter().position(|&v| v == GHOST) {
@@ -279,7 +279,7 @@ impl<'a> DelaunayBuilder<'a> {
             if side == face {
                 continue;
             }
-            // The face opposite `side` holds the new point and the two corners left.
+            // The face opposite `side` has the new point and the two remaining corners.
             let mut edge = (0..4).filter(|&k| k != face && k != side).map(|k| tet[k]);
             let (a, b) = (edge.next().unwrap_or(GHOST), edge.next().unwrap_or(GHOST));
             if let Some((other, other_side)) = self.edges.pair((a.min(b), a.max(b)), (id, side as u8)) {
@@ -313,7 +313,7 @@ impl<'a> DelaunayBuilder<'a> {
     }
 }
 
-/// Matches the two new tetrahedra that share an edge of the cavity's rim; open addressing, reused between insertions.
+/// Matches the two new tetrahedra that share an edge of the cavity's rim. Open addressing; reused between insertions.
 #[derive(Default)]
 struct EdgeTable {
     slots: Vec<(u32, u32, u32, u8, u32)>,
@@ -332,7 +332,7 @@ impl EdgeTable {
         self.epoch += 1;
     }
 
-    /// The tetrahedron that offered this edge before, or remembers this one.
+    /// Returns the tetrahedron that registered this edge before, or registers this one.
     fn pair(&mut self, edge: (u32, u32), offer: (u32, u8)) -> Option<(u32, u8)> {
         let mut h = (edge.0.wrapping_mul(0x9E37_79B1) ^ edge.1.wrapping_mul(0x85EB_CA6B)) as usize;
         h ^= h >> 15;

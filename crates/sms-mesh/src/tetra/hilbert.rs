@@ -48,8 +48,8 @@ fn mix(index: u64) -> u64 {
     z ^ z >> 31
 }
 
-/// Indices of `points` in insertion order. The rounds are drawn from the indices alone: the same points give the
-/// same order everywhere.
+/// Returns the indices of `points` in insertion order. The rounds depend only on the indices: the same points give the
+/// same order on every machine.
 pub(crate) fn insertion_order(points: &[DVec3]) -> Vec<u32> {
     let Some(bounds) = sms_core::Aabb::of_points(points.iter().copied()) else { return Vec::new() };
     let scale = f64::from((1u32 << BITS) - 1) / bounds.extents().max_element().max(f64::MIN_POSITIVE);
@@ -57,7 +57,7 @@ pub(crate) fn insertion_order(points: &[DVec3]) -> Vec<u32> {
         .iter()
         .enumerate()
         .map(|(i, &p)| {
-            // Each round is twice as large as the one before it.
+            // Each round is twice as large as the previous one.
             let round = ROUNDS - mix(i as u64).leading_zeros().min(ROUNDS);
             let cell = ((p - bounds.min) * scale).to_array().map(|v| v as u32);
             (round, hilbert_index(cell), i as u32)

@@ -1,4 +1,4 @@
-//! Inside rules: the choice of the tetrahedra that form the solid.
+//! Inside rules: selection of the tetrahedra that form the solid.
 
 use crate::point_grid::PointGrid;
 use crate::statistics::median;
@@ -6,8 +6,9 @@ use crate::tetra::delaunay::{FACES, NONE, Tetrahedralization};
 use crate::tetra::maxflow::FlowNetwork;
 use glamx::DVec3;
 
-/// The paper's rule: a tetrahedron stays unless an edge is longer than `length`, or, adaptively, than `factor` times
-/// the local feature size of its corners (their mean distance to `k` neighbours, as in the released code).
+/// Returns the tetrahedra that the paper's rule keeps: those without an edge longer than `length`. The adaptive limit
+/// is `factor` times the local feature size of the corners (their mean distance to `k` neighbours, as in the released
+/// code).
 pub fn prune(mesh: &Tetrahedralization, length: Option<f64>, factor: f64, k: usize) -> Vec<bool> {
     let feature: Vec<f64> = match length {
         Some(_) => Vec::new(),
@@ -40,7 +41,7 @@ pub fn prune(mesh: &Tetrahedralization, length: Option<f64>, factor: f64, k: usi
     fill_voids(mesh, inside)
 }
 
-/// Median edge length.
+/// Returns the median edge length.
 fn typical_edge(mesh: &Tetrahedralization) -> f64 {
     let stride = mesh.tetrahedra.len().div_ceil(5000).max(1);
     let edges = (0..mesh.tetrahedra.len()).step_by(stride).map(|t| {
@@ -50,9 +51,9 @@ fn typical_edge(mesh: &Tetrahedralization) -> f64 {
     median(edges.collect())
 }
 
-/// Votes of each tetrahedron's corners: +1 for each corner whose normal points straight away from the circumcentre, −1
-/// for each that points straight at it. On a dense sample of a surface, inner circumcentres lie on the medial axis
-/// behind the surface and outer ones in front of it (Amenta and Bern 1999, poles).
+/// Returns the sum of the votes of each tetrahedron's corners. A corner's vote is +1 if its normal points straight away
+/// from the circumcentre, and −1 if it points straight at it. On a dense sample of a surface, inner circumcentres lie
+/// on the medial axis behind the surface and outer ones in front of it (Amenta and Bern 1999, poles).
 pub fn normal_votes(mesh: &Tetrahedralization, normals: &[DVec3]) -> Vec<f64> {
     (0..mesh.tetrahedra.len())
         .map(|t| {
@@ -68,11 +69,12 @@ pub fn normal_votes(mesh: &Tetrahedralization, normals: &[DVec3]) -> Vec<f64> {
         .collect()
 }
 
-/// Cost of area beyond that of a sampled face, which lies where nothing was seen, in shares of the stiffness.
+/// Cost of area beyond that of a sampled face, as a share of the stiffness. Such large faces lie where nothing was
+/// seen.
 const LARGE_FACE: f64 = 0.1;
 
-/// Reconciles votes (positive: inside) by a minimum cut in which parting two neighbours costs `stiffness` times the
-/// area of their face in units of `area`, at most `stiffness`.
+/// Reconciles votes (positive: inside) by a minimum cut. Separating two neighbours costs `stiffness` times the area of
+/// their face in units of `area`, at most `stiffness`.
 pub fn cut(mesh: &Tetrahedralization, votes: &[f64], stiffness: f64, area: f64) -> Vec<bool> {
     const UNIT: f64 = 10_000.0;
     let mut network = FlowNetwork::new(mesh.tetrahedra.len());
@@ -84,7 +86,7 @@ pub fn cut(mesh: &Tetrahedralization, votes: &[f64], stiffness: f64, area: f64) 
             let size = 0.5 * (b - a).cross(c - a).length() / area;
             let cost = stiffness * (0.2 + 0.8 * size.min(1.0) + LARGE_FACE * (size - 1.0).clamp(0.0, 20.0));
             match mesh.neighbors[t][face] {
-                // The hull's outside is outside.
+                // Beyond the hull is outside.
                 NONE => gain -= 0.3 * cost,
                 next if next as usize > t => network.link(t, next as usize, (cost * UNIT) as i64),
                 _ => {}
@@ -95,7 +97,7 @@ pub fn cut(mesh: &Tetrahedralization, votes: &[f64], stiffness: f64, area: f64) 
     fill_voids(mesh, network.source_side())
 }
 
-/// Everything that the outside cannot reach is inside.
+/// Marks everything that cannot be reached from the outside as inside.
 fn fill_voids(mesh: &Tetrahedralization, inside: Vec<bool>) -> Vec<bool> {
     let mut reached = vec![false; inside.len()];
     let mut stack: Vec<usize> =

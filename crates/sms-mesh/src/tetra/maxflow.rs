@@ -1,8 +1,8 @@
-//! Minimum s–t cut by Dinic's algorithm (1970), on integer capacities so that results are exact and repeatable.
+//! Minimum s–t cut by Dinic's algorithm (1970), with integer capacities for exact, repeatable results.
 
 /// A flow network; node 0 is the source, node 1 the sink.
 pub(crate) struct FlowNetwork {
-    /// Arc `a` and its reverse `a ^ 1`.
+    /// Target node of arc `a`; its reverse is `a ^ 1`.
     to: Vec<u32>,
     capacity: Vec<i64>,
     next: Vec<u32>,
@@ -14,7 +14,7 @@ const SOURCE: usize = 0;
 const SINK: usize = 1;
 
 impl FlowNetwork {
-    /// A network with `nodes` inner nodes, numbered from 0 in the methods below.
+    /// Creates a network with `nodes` inner nodes, numbered from 0 in the methods below.
     pub(crate) fn new(nodes: usize) -> Self {
         Self { to: Vec::new(), capacity: Vec::new(), next: Vec::new(), first: vec![END; nodes + 2] }
     }
@@ -28,7 +28,7 @@ impl FlowNetwork {
         }
     }
 
-    /// Cost of putting `node` on the sink's side (positive `gain`) or on the source's side (negative).
+    /// Adds the cost of assigning `node` to the sink's side (positive `gain`) or to the source's side (negative).
     pub(crate) fn terminal(&mut self, node: usize, gain: i64) {
         if gain > 0 {
             self.arc(SOURCE, node + 2, gain, 0);
@@ -37,12 +37,12 @@ impl FlowNetwork {
         }
     }
 
-    /// Cost of parting two nodes.
+    /// Adds the cost of separating two nodes.
     pub(crate) fn link(&mut self, a: usize, b: usize, cost: i64) {
         self.arc(a + 2, b + 2, cost, cost);
     }
 
-    /// Nodes on the source's side of a minimum cut.
+    /// Returns the nodes on the source's side of a minimum cut.
     pub(crate) fn source_side(mut self) -> Vec<bool> {
         let n = self.first.len();
         let mut level = vec![0u32; n];
@@ -72,7 +72,7 @@ impl FlowNetwork {
         }
     }
 
-    /// Pushes flow along one shortest path; `false` when there is none left at these levels.
+    /// Pushes flow along one shortest path; returns `false` if none is left at these levels.
     fn augment(&mut self, level: &[u32], current: &mut [u32]) -> bool {
         let mut path: Vec<u32> = Vec::new();
         let mut v = SOURCE;

@@ -1,4 +1,4 @@
-//! Tetrahedra: Delaunay tetrahedralisation, choice of the solid's tetrahedra, and the solid's boundary.
+//! Tetrahedra: Delaunay tetrahedralisation, selection of the solid's tetrahedra, and the solid's boundary.
 
 mod boundary;
 mod delaunay;

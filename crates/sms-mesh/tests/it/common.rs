@@ -5,7 +5,7 @@ use sms_core::Mesh;
 use sms_core::glamx::{DVec2, DVec3};
 use std::collections::BTreeMap;
 
-/// A solid of revolution about z from its closed outline (r, z).
+/// A solid of revolution about z with a closed outline (r, z).
 pub fn lathe(outline: &[[f64; 2]], around: usize) -> Mesh {
     let mut mesh = Mesh::default();
     let id: Vec<Vec<u32>> = outline
@@ -47,7 +47,7 @@ fn outward(mut mesh: Mesh) -> Mesh {
     mesh
 }
 
-/// The union of boxes (corner, corner), as one surface.
+/// The union of boxes (corner, corner) as one surface.
 pub fn blocks(boxes: &[([f64; 3], [f64; 3])]) -> Mesh {
     let lines: [Vec<f64>; 3] = std::array::from_fn(|k| {
         let mut at: Vec<f64> = boxes.iter().flat_map(|b| [b.0[k], b.1[k]]).collect();
@@ -109,7 +109,7 @@ pub fn blocks(boxes: &[([f64; 3], [f64; 3])]) -> Mesh {
     mesh
 }
 
-/// The zero level of a signed distance (negative inside) over a box, in cubes of `cell`.
+/// The zero level of a signed distance (negative inside) over a box, in cubes of size `cell`.
 pub fn level_set(sdf: &dyn Fn(DVec3) -> f64, low: DVec3, high: DVec3, cell: f64) -> Mesh {
     let n = ((high - low) / cell).to_array().map(|v| v as usize + 2);
     let index = |x: usize, y: usize, z: usize| (z * n[1] + y) * n[0] + x;

@@ -1,4 +1,4 @@
-//! Delaunay tetrahedralisation against its definition, the convex hull and SciPy's counts.
+//! Delaunay tetrahedralisation, compared with its definition, the convex hull and SciPy's counts.
 
 use proptest::prelude::*;
 use rand::RngExt;
@@ -8,7 +8,7 @@ use sms_core::glamx::DVec3;
 use sms_mesh::convex_hull;
 use sms_mesh::tetra::{FACES, NONE, Tetrahedralization, delaunay};
 
-/// Positive volumes, symmetric neighbours, outward faces, and the sum of volumes equal to the hull's.
+/// Checks positive volumes, symmetric neighbours, outward faces, and that volumes add up to the hull's.
 fn check_structure(mesh: &Tetrahedralization) {
     let mut total = 0.0;
     for t in 0..mesh.tetrahedra.len() {
@@ -26,7 +26,7 @@ fn check_structure(mesh: &Tetrahedralization) {
     assert!((total / hull.volume() - 1.0).abs() < 1e-9, "{total} against {}", hull.volume());
 }
 
-/// No point lies inside any circumsphere by more than rounding.
+/// Checks that no point lies inside any circumsphere by more than rounding.
 fn check_empty_spheres(mesh: &Tetrahedralization) {
     for t in 0..mesh.tetrahedra.len() {
         let [a, b, c, d] = mesh.corners(t);
@@ -48,9 +48,9 @@ fn cloud(kind: usize, n: usize, seed: u64) -> Vec<DVec3> {
             let p = DVec3::new(rng.random(), rng.random(), rng.random()) * 2.0 - DVec3::ONE;
             match kind {
                 0 => p,
-                // A coarse grid: cospherical everywhere and full of duplicates.
+                // A coarse grid: cospherical everywhere, with many duplicates.
                 1 => (p * 3.0).round(),
-                // Exactly cospherical up to rounding.
+                // Cospherical up to rounding.
                 2 => p.normalize(),
                 // The faces of an exact box.
                 _ => {
@@ -88,7 +88,7 @@ fn grids_boxes_duplicates_and_flat_sets_survive() {
     assert!(delaunay(&flat).tetrahedra.is_empty());
     assert!(delaunay(&[]).tetrahedra.is_empty());
     assert!(delaunay(&[DVec3::ONE; 20]).tetrahedra.is_empty());
-    // A million metres away, half a millimetre apart.
+    // A million metres away, with a spacing of half a millimetre.
     let far: Vec<DVec3> = cloud(0, 300, 1).iter().map(|&p| p * 5e-4 + DVec3::splat(1e6)).collect();
     check_structure(&delaunay(&far));
 }
@@ -102,7 +102,7 @@ struct Row {
     hull_volume: f64,
 }
 
-/// The generator of `oracle/scipy_delaunay.py`.
+/// The same generator as in `oracle/scipy_delaunay.py`.
 fn oracle_points(row: &Row) -> Vec<DVec3> {
     let mut state = row.seed;
     let mut uniform = || {

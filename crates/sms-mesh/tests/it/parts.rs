@@ -1,4 +1,4 @@
-//! Decompositions of analytic shapes: hollows stay open, solids stay covered, bad meshes do no harm.
+//! Decompositions of analytic shapes: hollows stay open, solids stay covered, invalid meshes are handled.
 
 use crate::common::{blocks, bowl, chair, cup, figure, mug, open_box, torus, vase};
 use proptest::prelude::*;
@@ -13,14 +13,14 @@ fn planes(hull: &Mesh) -> Vec<(DVec3, f64)> {
             let [a, b, c] = hull.corners(t);
             let cross = (b - a).cross(c - a);
             let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
-            // A sliver's normal is rounding; its neighbours bound the hull there.
+            // The normal of a sliver is rounding noise; its neighbours bound the hull there.
             let n = cross.try_normalize().filter(|_| cross.length() > 1e-6 * longest)?;
             Some((n, n.dot(a)))
         })
         .collect()
 }
 
-/// Height above the highest face plane: negative inside.
+/// Returns the height above the highest face plane: negative inside.
 fn outside(planes: &[(DVec3, f64)], p: DVec3) -> f64 {
     planes.iter().map(|(n, d)| n.dot(p) - d).fold(f64::MIN, f64::max)
 }
@@ -32,7 +32,7 @@ impl Union {
         Self(parts.iter().map(planes).collect())
     }
 
-    /// Below the distance of a point to the union; negative inside.
+    /// Returns a lower bound of the distance of a point to the union; negative inside.
     fn distance(&self, p: DVec3) -> f64 {
         self.0.iter().map(|planes| outside(planes, p)).fold(f64::MAX, f64::min)
     }
@@ -44,7 +44,7 @@ fn check_parts(parts: &[Mesh], config: &ConvexConfig) {
         assert!(part.is_closed_oriented() && part.volume() > 0.0);
         assert!(part.vertices.len() <= config.max_vertices);
         let size = part.aabb().unwrap().extents().max_element();
-        // Faces of no width have no direction.
+        // Faces without area have no normal.
         for t in 0..part.triangles.len() {
             let [a, b, c] = part.corners(t);
             let cross = (b - a).cross(c - a);
@@ -74,7 +74,7 @@ fn winding(mesh: &Mesh, p: DVec3) -> f64 {
     angle / (4.0 * std::f64::consts::PI)
 }
 
-/// Shares of random points of the mesh's box: in both, only in the solid, only in the union.
+/// Returns shares of random points in the mesh's box: in both, only in the solid, only in the union.
 fn compare(mesh: &Mesh, parts: &[Mesh], samples: usize) -> (f64, f64, f64) {
     let union = Union::of(parts);
     let bounds = mesh.aabb().unwrap();
@@ -96,7 +96,7 @@ fn compare(mesh: &Mesh, parts: &[Mesh], samples: usize) -> (f64, f64, f64) {
 
 #[test]
 fn hollows_stay_open() {
-    // Shape, then points on the hollow's axis with the free radius around each.
+    // A shape, then points on the axis of the hollow with the free radius around each.
     let on_axis = |low: f64, high: f64, free: &dyn Fn(f64) -> f64| -> Vec<(DVec3, f64)> {
         (0..=8)
             .map(|k| low + (high - low) * f64::from(k) / 8.0)
@@ -154,7 +154,8 @@ fn a_ball_finds_its_way_into_a_bowl_and_none_out() {
     let parts = convex_parts(&bowl(0.003), &ConvexConfig::default());
     let union = Union::of(&parts);
     let radius = 0.012;
-    // Downhill in small steps from above the wall: never pushed out again, at rest near the middle.
+    // A ball moves downhill in small steps from above the wall. It must never be pushed out, and must rest near the
+    // middle.
     let mut at = DVec3::new(0.035, 0.01, 0.1);
     for _ in 0..4000 {
         let directions = (0..64).map(|k| {
@@ -169,7 +170,7 @@ fn a_ball_finds_its_way_into_a_bowl_and_none_out() {
     }
     assert!(at.z < 0.035 && at.z > 0.01, "{at}");
     assert!(at.x.hypot(at.y) < 0.035, "{at}");
-    // On every level way out the wall is in between.
+    // The wall blocks every level way out.
     for k in 0..64 {
         let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 64.0).sin_cos();
         let hit =
@@ -250,7 +251,7 @@ fn bad_meshes_do_no_harm() {
     let mut inside_out = whole.clone();
     inside_out.triangles.iter_mut().for_each(|t| t.swap(0, 1));
     close(&inside_out, 0.03);
-    // Every triangle with corners of its own, one of them not a number, and an index out of range.
+    // Every triangle has its own corners; one corner is not a number, and one index is out of range.
     let mut soup = Mesh::default();
     for t in 0..whole.triangles.len() {
         let n = soup.vertices.len() as u32;
@@ -264,13 +265,13 @@ fn bad_meshes_do_no_harm() {
     let mut torn = whole.clone();
     torn.triangles.drain(100..103);
     close(&torn, 0.06);
-    // Some faces turned round, some doubled.
+    // Some faces are inverted, some doubled.
     let mut tangled = whole.clone();
     tangled.triangles[5..200].iter_mut().for_each(|t| t.swap(0, 1));
     let doubled: Vec<[u32; 3]> = tangled.triangles[300..340].to_vec();
     tangled.triangles.extend(doubled);
     check_parts(&convex_parts(&tangled, &config), &config);
-    // Two balls pushed into each other.
+    // Two intersecting balls.
     let mut crossing = whole.clone();
     let n = crossing.vertices.len() as u32;
     crossing.vertices.extend(whole.vertices.iter().map(|v| v + DVec3::X * 0.06));
@@ -279,7 +280,7 @@ fn bad_meshes_do_no_harm() {
     check_parts(&parts, &config);
     let union = Union::of(&parts);
     assert!(union.distance(DVec3::ZERO) < 0.0 && union.distance(DVec3::X * 0.06) < 0.0);
-    // A sheet is a thin shell, a plate stays one part.
+    // A sheet becomes a thin shell, a plate stays one part.
     let sheet: Vec<[u32; 3]> = whole
         .triangles
         .iter()
@@ -316,7 +317,7 @@ proptest! {
     #[test]
     fn unions_of_boxes_are_covered(seed in 0u64..100_000, turn in proptest::bool::ANY) {
         let mut rng = Seed(seed).rng();
-        // On a lattice, through the middle cell, so that no two boxes touch in an edge alone.
+        // The boxes lie on a lattice and contain the middle cell, so that no two boxes touch only in an edge.
         let boxes: Vec<([f64; 3], [f64; 3])> = (0..4)
             .map(|_| {
                 let span = |rng: &mut sms_core::StageRng| {
@@ -343,7 +344,7 @@ proptest! {
         let mut rng = Seed(seed).rng();
         let axes = DVec3::new(rng.random(), rng.random(), rng.random()) + DVec3::splat(0.3);
         let mut ball = Mesh::icosphere(0.1, 3);
-        // A flat foot, which must stay where it is.
+        // The flat foot must stay in place.
         ball.vertices.iter_mut().for_each(|v| *v = (*v * axes).max(DVec3::new(-1.0, -1.0, -0.04)));
         let exact = limited_hull(&ball.vertices, usize::MAX).unwrap();
         let hull = limited_hull(&ball.vertices, limit).unwrap();

@@ -7,8 +7,8 @@ use sms_mesh::{SphereConfig, fit_sphere};
 
 #[test]
 fn radius_within_a_tenth_of_a_millimetre_at_35_percent_coverage() {
-    // 7000 points of a cap 35 % of the sphere with 0.8 mm of noise fix the radius to 0.03 mm (Cramér-Rao); over 20 draws
-    // a tenth of a millimetre is three of that.
+    // 7000 points of a cap 35 % of the sphere with 0.8 mm of noise fix the radius to 0.03 mm (Cramér-Rao). The limit of
+    // a tenth of a millimetre over 20 draws is three times as large.
     let (mut worst, mut sum) = (0.0f64, 0.0);
     for seed in 0..20 {
         let mut rng = Seed(seed).rng();
