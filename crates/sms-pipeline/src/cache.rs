@@ -1,4 +1,4 @@
-//! The stage cache of a run: a stage is computed again only where its inputs or settings have changed.
+//! The stage cache of a run: a stage is recomputed only if its inputs or settings have changed.
 
 use crate::{Context, Error, Event};
 use sms_core::metrics::Metrics;
@@ -14,14 +14,14 @@ const STAGES: [(&str, &[&str]); 8] = [
     ("scene", &["scene."]),
     ("plan", &["plan."]),
     ("target", &["execute."]),
-    // Depends on the plan only, as `target` does.
+    // Depends only on the plan, like `target`.
     ("robot", &["robot."]),
 ];
 
-/// Checks that have no folder, with the stage that they look at.
+/// Checks without a folder, with the stage that they check.
 const CHECKS: [(&str, &str); 2] = [("evaluate", "entities"), ("simulate", "scene")];
 
-/// Returns the hash of a stage: of the inputs' hashes and the settings.
+/// Returns the hash of a stage from the hashes of its inputs and its settings.
 pub(crate) fn inputs_hash<T: serde::Serialize>(inputs: &[&Hash], settings: &T) -> Result<Hash, Error> {
     let mut hasher = Hasher::new();
     for hash in inputs {
@@ -49,7 +49,8 @@ pub(crate) fn run_stage(
             let metrics = work(&stage, &warnings)?;
             drop_dependents(run, name)?;
             let prefixes = STAGES.iter().find(|s| s.0 == name).map_or(&[][..], |s| s.1);
-            // Metrics before the rename: a kill in between redoes the stage and writes them again.
+            // Metrics are written before the rename: if the process is killed in between, the stage runs again and
+            // rewrites them.
             record(context, run, name, prefixes, metrics, &warnings)?;
             stage.commit()?
         }
@@ -77,8 +78,8 @@ pub(crate) fn record(
     Ok(())
 }
 
-/// Removes everything that was computed from the earlier result of `stage`: a plan for another scene, or objects of
-/// another scan, must not be taken for this run's.
+/// Removes all results computed from the earlier result of `stage`, such as a plan for another scene or objects of
+/// another scan.
 fn drop_dependents(run: &RunFolder, stage: &str) -> Result<(), Error> {
     let Some(at) = STAGES.iter().position(|s| s.0 == stage) else { return Ok(()) };
     let mut metrics = Metrics::load(&run.metrics_path())?;

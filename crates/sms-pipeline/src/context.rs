@@ -3,19 +3,19 @@
 use crate::Settings;
 use sms_core::{Cancel, NoProgress, Progress, Seed, StageContext, Warning, Warnings};
 
-/// Something that happened while a command of a [`Run`](crate::Run) worked.
+/// An event during a command of a [`Run`](crate::Run).
 #[derive(Debug)]
 pub enum Event<'a> {
     /// A stage was computed, or its earlier result is up to date.
     Stage {
-        /// Name of the stage, which is that of its folder.
+        /// Name of the stage and of its folder.
         name: &'a str,
-        /// Whether nothing had to be computed.
+        /// Whether the earlier result was up to date.
         is_cached: bool,
     },
     /// A line about an intermediate result.
     Message(&'a str),
-    /// A problem that the user should know about at once; a warning follows.
+    /// A problem to report at once; a warning follows.
     Alert(&'a str),
     /// A warning that was saved with the run.
     Warning(&'a Warning),
@@ -36,18 +36,18 @@ impl EventSink for () {
 pub struct Context {
     /// Receives progress.
     pub progress: Box<dyn Progress>,
-    /// Stops the work when it is set.
+    /// Cancels the work.
     pub cancel: Cancel,
     /// Settings of all stages.
     pub settings: Settings,
-    /// Whether stages are redone even where nothing has changed.
+    /// Whether to repeat stages even if nothing has changed.
     pub force: bool,
     /// Receives events.
     pub events: Box<dyn EventSink>,
 }
 
 impl Default for Context {
-    /// No progress, default settings, no events.
+    /// Returns a context with default settings, without progress and events.
     fn default() -> Self {
         Self {
             progress: Box::new(NoProgress),
@@ -60,7 +60,7 @@ impl Default for Context {
 }
 
 impl Context {
-    /// Returns the services that a stage receives.
+    /// Returns the context of a stage.
     pub fn stage<'a>(&'a self, warnings: &'a Warnings, seed: Seed) -> StageContext<'a> {
         StageContext { progress: self.progress.as_ref(), cancel: &self.cancel, warnings, seed }
     }

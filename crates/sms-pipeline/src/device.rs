@@ -1,4 +1,4 @@
-//! The device that computes a scan: the CPU, or a GPU in a build with the feature `gpu`.
+//! The device of a scan: the CPU, or a GPU in builds with the feature `gpu`.
 
 #[cfg(feature = "gpu")]
 use crate::Event;
@@ -6,15 +6,15 @@ use crate::EventSink;
 use sms_core::{InputError, StageContext};
 use sms_gaussians::{CpuTrainer, TrainConfig, Trainer};
 
-/// Device of a scan; from text, `auto`, `cpu`, `gpu` or `gpu:N`.
+/// Device of a scan; parsed from `auto`, `cpu`, `gpu` or `gpu:N`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Device {
-    /// A GPU where there is one and the build knows of GPUs, else the CPU.
+    /// A GPU if one is available and supported by the build, otherwise the CPU.
     #[default]
     Auto,
     /// The CPU.
     Cpu,
-    /// A GPU: the best one, or that of this index in `sms devices`.
+    /// A GPU: the best one, or the one with this index in `sms devices`.
     Gpu(Option<usize>),
 }
 
@@ -30,22 +30,22 @@ impl std::str::FromStr for Device {
                 Ok(index) => Ok(Self::Gpu(Some(index))),
                 Err(_) => Err(format!("{index:?} is not an index; `sms devices` lists them")),
             },
-            _ => Err("give auto, cpu, gpu or gpu:N".to_owned()),
+            _ => Err("use auto, cpu, gpu or gpu:N".to_owned()),
         }
     }
 }
 
-/// The refusal of a GPU by a program that was built without GPUs.
+/// Returns the error for a GPU in a program built without GPU support.
 pub fn without_gpu() -> InputError {
     InputError::new(
-        "this program was built without GPUs",
+        "this program was built without GPU support",
         "--device",
-        "build it with `--features gpu`, or give --device cpu",
+        "build it with `--features gpu`, or use --device cpu",
     )
 }
 
-/// Returns the trainer of a scan and the value of the metric `scan.device`. A GPU that cannot be used is reported, and
-/// the CPU takes its place.
+/// Returns the trainer of a scan and the value of the metric `scan.device`. If a GPU cannot be used, reports the reason
+/// and uses the CPU.
 #[cfg(feature = "gpu")]
 pub(crate) fn trainer(
     device: Device,
@@ -68,18 +68,18 @@ pub(crate) fn trainer(
             Ok((Box::new(trainer), format!("gpu: {name}")))
         }
         Err(GpuError::NoSuchAdapter { index, count }) => Err(InputError::new(
-            format!("there is no GPU {index}: there are {count}"),
+            format!("GPU {index} does not exist; {count} found"),
             "--device",
             "`sms devices` lists them",
         )),
         Err(GpuError::NoAdapter(_)) if device == Device::Auto => Ok((cpu(), "cpu".to_owned())),
         Err(error) => {
-            events.event(&Event::Alert(&format!("{error}: scanning on the CPU instead")));
+            events.event(&Event::Alert(&format!("{error}; scanning on the CPU")));
             context.warnings.add(
                 "scan",
                 "gpu_not_used",
-                format!("{error}; the CPU scanned instead"),
-                "`sms devices` shows the GPUs and their faults; --device cpu asks for no GPU",
+                format!("{error}; the scan ran on the CPU"),
+                "`sms devices` lists the GPUs and their faults; --device cpu avoids this warning",
             );
             Ok((cpu(), "cpu".to_owned()))
         }

@@ -5,7 +5,7 @@ use sms_core::{CoreError, ErrorKind, InputError, StageError};
 /// Declares [`Error`] with one transparent variant per stage error.
 macro_rules! errors {
     ($($(#[doc = $doc:literal])* $name:ident($kind:ty),)*) => {
-        /// An error of the pipeline: that of the stage which failed. [`StageError::kind`] tells bad input from other
+        /// An error of the pipeline, from the stage that failed. [`StageError::kind`] separates bad input from other
         /// failures.
         #[derive(Debug, thiserror::Error)]
         pub enum Error {
@@ -13,7 +13,7 @@ macro_rules! errors {
             /// The scene cannot be simulated.
             #[error(transparent)]
             Sim(#[from] sms_sim::SimError),
-            /// Entities and materials make no scene.
+            /// No scene can be built from the entities and materials.
             #[error(transparent)]
             Build(#[from] sms_scene::BuildError),
             /// A value cannot be serialized.

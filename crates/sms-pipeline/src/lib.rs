@@ -1,8 +1,8 @@
 //! The pipeline as a library: from a posed RGB-D recording to a simulated scene, a plan, its execution and a report.
 //!
-//! [`Run`] works on a folder: each method runs one command of the program `sms`, keeps its stages there, and computes only
-//! what is not up to date. [`stages`] has the same stages as functions without a folder. A [`Context`] carries progress,
-//! cancellation, settings and events; nothing is printed.
+//! [`Run`] works on a folder: each method runs one command of the program `sms`, stores its stages there, and
+//! recomputes only outdated ones. [`stages`] contains the same stages as functions without a folder. A [`Context`]
+//! carries progress, cancellation, settings and events; the library prints nothing.
 //!
 //! ```no_run
 //! use sms_pipeline::{Context, Format, MaterializeRequest, PlanRequest, Run, ScanRequest};

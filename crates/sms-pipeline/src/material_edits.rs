@@ -8,19 +8,19 @@ use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign, load_queries}
 use sms_scene::load_scene;
 use std::path::{Path, PathBuf};
 
-/// The user's edits, in the run's folder; the same form as `sms materialize --materials FILE`.
+/// File of the user's edits in the run's folder, in the format of `sms materialize --materials FILE`.
 pub(crate) const EDITS: &str = "materials.toml";
-/// What is known about the objects' materials, in the scene's folder.
+/// File of the material queries in the scene's folder.
 pub(crate) const QUERIES: &str = "materials.json";
 
 /// Materials of the objects of a scene.
 #[derive(Debug, Clone)]
 pub struct ObjectMaterials {
-    /// The objects, and last the floor.
+    /// The objects, followed by the floor.
     pub objects: Vec<ObjectQuery>,
     /// The material of each.
     pub materials: Vec<Material>,
-    /// Names of the objects that have another material in the scene, which was made before the last edit.
+    /// Names of the objects with another material in the scene, which is older than the last edit.
     pub changed: Vec<String>,
     /// File of the edits.
     pub edits: PathBuf,
@@ -28,11 +28,11 @@ pub struct ObjectMaterials {
 
 impl Run<'_> {
     /// Edits the materials of the objects and returns them all. `set` has `OBJECT.KEY=VALUE` or
-    /// `OBJECT.KEY=BEST,LOW,HIGH`; `unset` has `OBJECT.KEY`, or `OBJECT` for all of its values. With neither, nothing is
+    /// `OBJECT.KEY=BEST,LOW,HIGH`; `unset` has `OBJECT.KEY`, or `OBJECT` for all its values. Without edits, no file is
     /// written.
     ///
     /// # Errors
-    /// [`Error::Input`] naming the edit; then no edit is saved.
+    /// [`Error::Input`] that names the invalid edit; no edit is saved then.
     pub fn materials(&self, set: &[String], unset: &[String]) -> Result<ObjectMaterials, Error> {
         let is_edit = !set.is_empty() || !unset.is_empty();
         let folder = self.folder();
@@ -83,13 +83,13 @@ impl ObjectMaterials {
 fn known(scene_dir: &Path) -> Result<Vec<ObjectQuery>, Error> {
     let path = scene_dir.join(QUERIES);
     if !path.is_file() {
-        let what = "this scene was made by an earlier version, or is damaged";
+        let what = "this scene is damaged, or an earlier version wrote it";
         return Err(InputError::new(what, &path, "run `sms materialize` again").into());
     }
     Ok(load_queries(&path)?)
 }
 
-/// `OBJECT.KEY=VALUE`.
+/// Applies an edit `OBJECT.KEY=VALUE`.
 fn edit(
     overrides: &mut Overrides,
     text: &str,
@@ -111,7 +111,7 @@ fn edit(
     if key == "class" && table.class(value).is_none() {
         let classes: Vec<&str> = table.classes().collect();
         return Err(InputError::new(
-            format!("there is no class `{value}`"),
+            format!("the material class `{value}` does not exist"),
             given,
             format!("use one of: {}", classes.join(", ")),
         ));
@@ -122,7 +122,7 @@ fn edit(
     overrides.set(name, key, value)
 }
 
-/// `OBJECT` or `OBJECT.KEY`.
+/// Resets `OBJECT` or `OBJECT.KEY`.
 fn take_back(overrides: &mut Overrides, text: &str, objects: &[ObjectQuery]) -> Result<(), InputError> {
     let given = format!("--unset {text}");
     let is_object =
@@ -131,7 +131,7 @@ fn take_back(overrides: &mut Overrides, text: &str, objects: &[ObjectQuery]) -> 
         Some((name, key)) if !is_object(text) => (name, Some(key)),
         _ => (text, None),
     };
-    // Values of an object that is no longer there can be taken back.
+    // Values of an object that no longer exists can be reset.
     if !is_object(name) {
         object(name, &given, objects)?;
     }
@@ -142,7 +142,7 @@ fn take_back(overrides: &mut Overrides, text: &str, objects: &[ObjectQuery]) -> 
     Err(InputError::new(
         format!("{what} set for `{name}`"),
         given,
-        "`sms materials RUN` lists what is set: its source is `user`",
+        "`sms materials RUN` lists all values; set ones have the source `user`",
     ))
 }
 
@@ -152,7 +152,7 @@ fn object(name: &str, given: &str, objects: &[ObjectQuery]) -> Result<(), InputE
     }
     let names: Vec<&str> = objects.iter().map(|o| o.name.as_str()).collect();
     Err(InputError::new(
-        format!("there is no object `{name}` in this scene"),
+        format!("this scene has no object `{name}`"),
         given,
         format!("name one of: {}", names.join(", ")),
     ))
@@ -182,7 +182,7 @@ pub fn source_name(property: Property) -> &'static str {
     }
 }
 
-/// Returns the objects that have another material in the scene.
+/// Returns the objects with another material in the scene.
 fn changed(scene_dir: &Path, objects: &[ObjectQuery], materials: &[Material]) -> Result<Vec<String>, Error> {
     let scene = load_scene(scene_dir)?;
     let differs = |object: &ObjectQuery, material: &Material| {

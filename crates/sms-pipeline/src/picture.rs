@@ -1,11 +1,11 @@
-//! Small drawings on an image: frames of boxes, and text in letters of 5 × 7 dots.
+//! Simple drawings on an image: boxes, and text in letters of 5 × 7 dots.
 
 use sms_core::ColorImage;
 
-/// Width and height of a letter's cell in dots, the space beside and below it included.
+/// Width and height of a letter's cell in dots, with the space beside and below the letter.
 const CELL: (usize, usize) = (6, 9);
 
-/// The image with every pixel `factor` times as wide and high.
+/// Enlarges an image by an integer `factor`.
 pub(crate) fn enlarged(image: &ColorImage, factor: usize) -> ColorImage {
     let mut out = ColorImage::filled(image.width * factor, image.height * factor, [0; 3]);
     for y in 0..out.height {
@@ -16,7 +16,7 @@ pub(crate) fn enlarged(image: &ColorImage, factor: usize) -> ColorImage {
     out
 }
 
-/// The outline of a box from `(x0, y0)` to `(x1, y1)`, `thick` pixels wide, all of it within the image.
+/// Draws the outline of a box from `(x0, y0)` to `(x1, y1)`, `thick` pixels wide, clamped to the image.
 pub(crate) fn draw_box(
     image: &mut ColorImage,
     (x0, y0): (usize, usize),
@@ -34,7 +34,7 @@ pub(crate) fn draw_box(
     }
 }
 
-/// Text on a plate of `color`, its dots `size` pixels wide; moved into the image where it would leave it.
+/// Draws text on a plate of `color` with dots `size` pixels wide, shifted to stay within the image.
 pub(crate) fn draw_text(
     image: &mut ColorImage,
     (x, y): (usize, usize),
@@ -59,7 +59,8 @@ pub(crate) fn draw_text(
     }
 }
 
-/// The columns of a letter, the lowest bit on top. There are no small letters; what has no letter here is a box.
+/// Returns the columns of a letter, lowest bit on top. Lower-case letters become upper-case; unknown characters become
+/// a box.
 fn dots(letter: char) -> [u8; 5] {
     match letter.to_ascii_uppercase() {
         ' ' => [0; 5],
@@ -135,7 +136,7 @@ mod tests {
         let mut image = ColorImage::filled(20, 12, [9; 3]);
         draw_text(&mut image, (19, 11), "a", 1, [255, 0, 0]);
         assert_eq!((image[(12, 3)], image[(13, 3)], image[(19, 11)]), ([9; 3], [255, 0, 0], [255, 0, 0]));
-        // Longer than the image is wide.
+        // The text is wider than the image.
         draw_text(&mut image, (0, 0), "a long name", 1, [0, 255, 0]);
         draw_box(&mut image, (18, 10), (400, 400), 1, [0, 0, 255]);
         assert_eq!(

@@ -10,15 +10,14 @@ use sms_frames::{Frame, Sequence};
 use sms_masks::label_color;
 use std::path::{Path, PathBuf};
 
-/// File of the detections in the first frame, beside the masks that were made from them.
+/// File of the detections in the first frame, beside their masks.
 pub(crate) const FOUND: &str = "found.json";
 /// The annotated first frame, in the run's folder.
 const PREVIEW: &str = "preview.png";
-/// Least width of the annotated frame, so that its letters are legible.
+/// Smallest width of the annotated frame, so that its letters are legible.
 const WIDE_PX: usize = 800;
 
-/// A detection: the label that it becomes, its name and score, and its box in pixels of the first frame (left, top,
-/// right, bottom).
+/// A detection: its label, name and score, and its box in pixels of the first frame (left, top, right, bottom).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct FoundBox {
     pub(crate) id: u16,
@@ -27,7 +26,7 @@ pub(crate) struct FoundBox {
     pub(crate) box_px: [f64; 4],
 }
 
-/// Writes the first frame with masks and, where there are any, detections; returns the picture's path.
+/// Writes the first frame with masks and, if there are any, detections; returns the picture's path.
 pub(crate) fn write_masks_preview(run: &Path, labels: &Labels) -> Result<PathBuf, Error> {
     let sequence = Sequence::load(&run.join("frames"))?;
     let path = run.join("masks").join(FOUND);
@@ -35,7 +34,7 @@ pub(crate) fn write_masks_preview(run: &Path, labels: &Labels) -> Result<PathBuf
     write_preview(run, first(&sequence)?, Some(labels), &found)
 }
 
-/// Reports and draws the detections in the first frame, in the form in which `--box` takes them.
+/// Reports and draws the detections in the first frame, in the format of `--box`.
 #[cfg(feature = "nets")]
 pub(crate) fn show_found(
     context: &Context,
@@ -72,8 +71,8 @@ fn write_preview(
     Ok(path)
 }
 
-/// The image, enlarged where it is small, with each label tinted in its colour and outlined, and the boxes, names and scores of
-/// detections over it.
+/// Draws the annotated frame: the image, enlarged if it is small, with tinted and outlined labels, and the boxes, names
+/// and scores of detections on top.
 fn annotated(image: &ColorImage, labels: Option<&Labels>, found: &[FoundBox]) -> ColorImage {
     let map = labels.and_then(|l| l.maps.first()).filter(|m| m.size() == image.size());
     let tinted = map.map(|map| tinted(image, map));
@@ -84,10 +83,10 @@ fn annotated(image: &ColorImage, labels: Option<&Labels>, found: &[FoundBox]) ->
         let [x0, y0, x1, y1] = f.box_px.map(at);
         draw_box(&mut out, (x0, y0), (x1, y1), 2, label_color(f.id));
     }
-    // Over all boxes, so that none hides a name.
+    // Names are drawn after all boxes, so that no box hides a name.
     for f in found {
         let [x0, y0, ..] = f.box_px.map(at);
-        // The user may have renamed it.
+        // The user may have renamed the object.
         let name = labels.and_then(|l| l.object(f.id)).map_or(&f.name, |o| &o.name);
         let text = format!("{name} {:.2}", f.score);
         draw_text(&mut out, (x0, y0.saturating_sub(18)), &text, 2, label_color(f.id));
@@ -95,7 +94,7 @@ fn annotated(image: &ColorImage, labels: Option<&Labels>, found: &[FoundBox]) ->
     out
 }
 
-/// The image with each label's pixels tinted in its colour, and its outline in full.
+/// Tints each label's pixels in its colour and draws its outline opaquely.
 fn tinted(image: &ColorImage, map: &LabelMap) -> ColorImage {
     let mut out = image.clone();
     for y in 0..map.height {
@@ -135,16 +134,16 @@ mod tests {
         let color = label_color(1);
         let out = annotated(&image, Some(&labels), &found);
         assert_eq!(out.size(), (800, 500));
-        // The box, the mask's outline, the mask, beside both.
+        // Pixels on the box, on the outline of the mask, in the mask, and outside of both.
         assert_eq!((out[(259, 150)], out[(120, 150)]), (color, color));
         let tint = color.map(|c| ((10 + u16::from(c)) / 2) as u8);
         assert_eq!((out[(160, 160)], out[(110, 150)], out[(300, 150)]), (tint, [10; 3], [10; 3]));
-        // The plate with the name and the score stands over the box.
+        // The plate with the name and the score is above the box.
         let plate = |out: &ColorImage| -> Vec<[u8; 3]> {
             (92..110).flat_map(|y| (100..196).map(move |x| (x, y))).map(|at| out[at]).collect()
         };
         assert!(plate(&out).iter().all(|c| *c == color || *c == [0; 3] || *c == [255; 3]));
-        // Without detections: labels alone; without labels: detections, by their own name.
+        // Without detections, only labels are drawn; without labels, detections have their own names.
         let alone = annotated(&image, Some(&labels), &[]);
         assert_eq!((alone[(259, 150)], alone[(160, 160)]), ([10; 3], tint));
         let before = annotated(&image, None, &found);

@@ -1,4 +1,5 @@
-//! Settings of all stages: defaults or a preset's, then `--settings FILE`, then every `--set section.key=value`.
+//! Settings of all stages: the defaults or a preset, overridden by `--settings FILE`, then by each `--set
+//! section.key=value`.
 
 use crate::Error;
 use serde::{Serialize, de::DeserializeOwned};
@@ -16,21 +17,21 @@ use sms_robots::autopilot::FlightFiles;
 use sms_vlm::VlmConfig;
 use std::path::{Path, PathBuf};
 
-/// Settings of one stage: what a section of the file may hold.
+/// Settings of one stage: a section of the settings file.
 pub trait Section: Default + Serialize + DeserializeOwned {
-    /// The first value out of its range.
+    /// Checks the ranges; returns an error for the first invalid value.
     fn validate(&self) -> Result<(), InputError>;
 }
 
-/// The sections in the order of the data flow, each with its type and what it is about. One list: the check of the
-/// file, of `--set`, and `sms settings` read it.
+/// The sections in the order of the data flow, with their types and descriptions: the list for the checks of the file
+/// and of `--set`, and for `sms settings`.
 macro_rules! sections {
     ($($name:literal: $kind:ty, $about:literal;)*) => {
-        /// Names of the sections with what each is about.
+        /// Names and descriptions of the sections.
         pub const SECTIONS: &[(&str, &str)] = &[$(($name, $about)),*];
 
         impl Settings {
-            /// Whether a section's keys exist and hold values of their kind and range.
+            /// Checks that a section's keys exist and that their values have valid types and ranges.
             fn check(&self, name: &str) -> Result<(), Error> {
                 match name {
                     $($name => self.section(name, <$kind>::default()).map(drop),)*
@@ -42,17 +43,17 @@ macro_rules! sections {
 }
 
 sections! {
-    "read": ReadOptions, "how a recording is read";
+    "read": ReadOptions, "reading of a recording";
     "frames": LoadSettings, "frames: size, choice, alignment";
     "poses": PosesConfig, "refinement of the camera poses";
-    "masks": GeometryConfig, "objects by geometry; borders of masks and what their source missed";
+    "masks": GeometryConfig, "objects by geometry; borders of masks and missed objects";
     "scan": ScanConfig, "Gaussians: steps, seeding, losses, rates";
     "entities": EntitiesConfig, "meshes, spheres, convex parts";
-    "vlm": VlmConfig, "vision-language model that is asked for materials";
-    "plan": PlanConfig, "search of an action";
-    "landing": LandingSettings, "search of a landing";
-    "flight": FlightFiles, "files of a planned flight, and where the vehicle is armed";
-    "robot": RobotConfig, "the arm that strikes, and where it stands";
+    "vlm": VlmConfig, "vision-language model for materials";
+    "plan": PlanConfig, "search for an action";
+    "landing": LandingSettings, "search for a landing";
+    "flight": FlightFiles, "files of a planned flight, and the arming position";
+    "robot": RobotConfig, "the striking arm and its pose";
     "evaluate": EvaluateSettings, "comparison with known models";
 }
 
@@ -94,7 +95,7 @@ impl Section for PlanConfig {
 /// One `--set section.key=value`.
 #[derive(Debug)]
 struct Assignment {
-    /// As it was given.
+    /// The text of the argument.
     text: String,
     section: String,
     /// The key's path within the section.
@@ -102,7 +103,7 @@ struct Assignment {
     value: toml::Value,
 }
 
-/// Overrides; empty without any.
+/// Overrides of the settings; may be empty.
 #[derive(Debug, Default)]
 pub struct Settings {
     table: toml::Table,
@@ -111,8 +112,8 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Reads the file and the assignments and checks every key of every section, so that a mistake is found before
-    /// any work.
+    /// Reads the file and the assignments and checks every key of every section, so that mistakes are found before any
+    /// work.
     pub fn read(path: Option<&Path>, assignments: &[String]) -> Result<Self, Error> {
         let mut settings = Self::default();
         if let Some(path) = path {
@@ -131,7 +132,7 @@ impl Settings {
         Ok(settings)
     }
 
-    /// `base` with the file's and the assignments' values of a section in place of its own.
+    /// Returns `base` overridden by the section's values of the file and the assignments.
     pub fn section<T: Section>(&self, name: &str, base: T) -> Result<T, Error> {
         let assigned: Vec<&Assignment> = self.assignments.iter().filter(|a| a.section == name).collect();
         let overrides = self.table.get(name);
@@ -160,7 +161,7 @@ impl Settings {
         Ok(made)
     }
 
-    /// A value out of its range, with the place that it was given at.
+    /// Returns the error for an invalid value, with the source of the value.
     fn blame(&self, section: &str, error: InputError) -> InputError {
         let set =
             error.key.as_deref().and_then(|key| self.assignments.iter().rev().find(|a| a.concerns(key)));
@@ -184,7 +185,7 @@ impl Settings {
             .find(|a| a.section == name)
             .map_or_else(|| self.path.display().to_string(), Assignment::source);
         InputError::new(
-            format!("the settings have no section `{name}`"),
+            format!("the settings do not have a section `{name}`"),
             source,
             if near.is_empty() { cure } else { format!("did you mean {}? {cure}", near.join(" or ")) },
         )
@@ -195,7 +196,7 @@ impl Assignment {
     fn parse(text: &str) -> Result<Self, InputError> {
         let malformed = || {
             InputError::new(
-                "this is no assignment",
+                "this is not an assignment",
                 format!("--set {text}"),
                 "write section.key=value, such as --set scan.final_steps=500",
             )
@@ -207,7 +208,7 @@ impl Assignment {
         if section.is_empty() || key.is_empty() || key.iter().any(String::is_empty) {
             return Err(malformed());
         }
-        // What is no TOML value is a word: `--set entities.mesh=prune` needs no quotes.
+        // Text that is not a TOML value is a string: `--set entities.mesh=prune` needs no quotes.
         let value = toml::from_str::<toml::Table>(&format!("value = {value}"))
             .ok()
             .filter(|table| table.len() == 1)
@@ -216,19 +217,19 @@ impl Assignment {
         Ok(Self { text: text.to_owned(), section, key, value })
     }
 
-    /// The value within tables of its keys.
+    /// Returns the value nested in tables of its keys.
     fn as_table(&self) -> toml::Value {
         self.key.iter().rev().fold(self.value.clone(), |value, key| {
             toml::Value::Table(std::iter::once((key.clone(), value)).collect())
         })
     }
 
-    /// How it was given, for messages.
+    /// Returns the argument, for messages.
     fn source(&self) -> String {
         format!("--set {}", self.text)
     }
 
-    /// Whether it sets `key` (`section.key`), a part of it, or a table that contains it.
+    /// Returns whether it sets `key` (`section.key`), a part of it, or a table that contains it.
     fn concerns(&self, key: &str) -> bool {
         let own = format!("{}.{}", self.section, self.key.join("."));
         let within = |a: &str, b: &str| {
@@ -238,7 +239,7 @@ impl Assignment {
     }
 }
 
-/// What serde says about a key or a value, with the names that come near.
+/// Converts serde's error about a key or a value, and adds similar names.
 fn fault(section: &str, source: impl AsRef<Path>, error: &toml::de::Error) -> InputError {
     let text = error.to_string();
     let quoted: Vec<&str> = text.split('`').skip(1).step_by(2).collect();
@@ -253,7 +254,7 @@ fn fault(section: &str, source: impl AsRef<Path>, error: &toml::de::Error) -> In
         .because(text.trim_end().replace('\n', " "))
 }
 
-/// The names most like `wrong`, best first, at most three; in backticks.
+/// Returns up to three names similar to `wrong`, best first, in backticks.
 fn near_matches<'a>(wrong: &str, names: impl Iterator<Item = &'a str>) -> Vec<String> {
     let mut scored: Vec<(f64, &str)> =
         names.map(|name| (strsim::normalized_damerau_levenshtein(wrong, name), name)).collect();
@@ -272,23 +273,23 @@ fn merge(base: &mut toml::Value, overrides: &toml::Value) {
                 }
             }
         }
-        // `1` where a float is expected is a float: people write round numbers without a point.
+        // Accepts `1` for a float.
         (slot @ toml::Value::Float(_), toml::Value::Integer(i)) => *slot = toml::Value::Float(*i as f64),
         (slot, value) => *slot = value.clone(),
     }
 }
 
-/// Pose refinement weighs depth by the noise that the frames are loaded with.
+/// Returns default settings of the pose refinement, with the depth noise of the frames.
 pub fn poses_defaults(frames: &LoadSettings) -> PosesConfig {
     PosesConfig { noise: frames.noise, ..PosesConfig::default() }
 }
 
-/// All sections as TOML, with the overrides applied to the preset's values.
+/// Returns all sections as TOML, with the overrides applied to the preset's values.
 pub fn text(settings: &Settings, preset: Preset) -> Result<String, Error> {
     let frames = LoadSettings { long_side: preset.long_side(), ..LoadSettings::default() };
     let mut out = String::from(
-        "# Settings of all stages. Keep what you change and give the file with --settings FILE, or single values with\n\
-         # --set section.key=value. Lengths in metres, angles in radians, times in seconds unless the name says else.\n",
+        "# Settings of all stages. Keep the changed values and pass the file with --settings FILE, or single values with\n\
+         # --set section.key=value. Lengths in metres, angles in radians, times in seconds unless the name says otherwise.\n",
     );
     let frames = settings.section("frames", frames)?;
     for (name, about) in SECTIONS {
@@ -312,7 +313,7 @@ pub fn text(settings: &Settings, preset: Preset) -> Result<String, Error> {
     Ok(out)
 }
 
-/// The settings before `--settings` and `--set`: server and model of the environment.
+/// Returns the default settings with the server and model of the environment.
 pub fn vlm_defaults() -> VlmConfig {
     let named = |key: &str| std::env::var(key).map(|v| v.trim().to_owned()).unwrap_or_default();
     VlmConfig { url: named("SMS_VLM_URL"), model: named("SMS_VLM_MODEL"), ..VlmConfig::default() }
@@ -403,7 +404,7 @@ mod tests {
         );
     }
 
-    /// Every number of every section has a range: none may be absurd.
+    /// Every number of every section has a range that rejects absurd values.
     #[test]
     fn every_number_of_every_section_is_checked() {
         fn numbers(value: &toml::Value, at: &str, found: &mut Vec<(String, bool)>) {

@@ -12,27 +12,27 @@ use sms_materials::{Estimate, ObjectQuery};
 use sms_vlm::{Answers, ApiKey, Cache, Client, VlmConfig, ask, question_about};
 use std::time::Instant;
 
-/// Folder of the stored replies in a run. It is not a stage: replies stay when the scene is made again.
+/// Folder of the stored replies in a run. It is not a stage: replies stay when the scene is rebuilt.
 pub(crate) const REPLIES: &str = "vlm";
 
-/// Whether a vision-language model is asked about materials.
+/// Use of a vision-language model for materials.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum VlmMode {
-    /// Ask no model.
+    /// Use no model.
     Off,
-    /// Ask where a server is named; go on without estimates where it does not answer.
+    /// Use a model if a server is configured; continue without estimates if it does not answer.
     #[default]
     Auto,
-    /// Ask, and fail where the server cannot be used.
+    /// Use a model; fail if the server cannot be used.
     On,
-    /// Use the replies of earlier runs of this command and make no requests.
+    /// Use stored replies of earlier runs and make no requests.
     CacheOnly,
 }
 
-/// Estimates for queries, and how they were obtained.
+/// Estimates for queries, and the replies behind them.
 #[derive(Debug)]
 pub struct Estimates {
-    /// One per query; `None` where the model was not asked or did not answer.
+    /// One estimate per query; `None` if the model was not asked or did not answer.
     pub estimates: Vec<Option<Estimate>>,
     /// The replies in detail.
     pub answers: Answers,
@@ -41,7 +41,7 @@ pub struct Estimates {
 /// Asks a model about each of `queries` (the entities of `set`, then the floor). `labels` has the entities' labels.
 ///
 /// # Errors
-/// [`Error::Core`] when interrupted, or when a reply cannot be stored.
+/// [`Error::Core`] if interrupted, or if a reply cannot be stored.
 pub fn estimates(
     set: &EntitySet,
     queries: &[ObjectQuery],
@@ -63,7 +63,7 @@ pub fn estimates(
                 "vlm",
                 "vlm_not_seen",
                 format!(
-                    "no view shows enough of {} to ask about it; the table or a prior stands in",
+                    "no view shows enough of {} to ask about it; the table or a prior is used",
                     query.name
                 ),
                 "set its values with `sms materials RUN --set`",
@@ -78,7 +78,7 @@ pub fn estimates(
     Ok(Estimates { estimates, answers })
 }
 
-/// [`estimates`] with the replies that the run has stored.
+/// Calls [`estimates`] with the stored replies of the run.
 pub(crate) fn cached_estimates(
     context: &Context,
     run: &RunFolder,
@@ -95,7 +95,7 @@ pub(crate) fn cached_estimates(
     };
     let warnings = Warnings::new();
     if !is_wanted {
-        // An earlier run of the command may have left figures.
+        // Removes the metrics of an earlier run of the command.
         record(context, run, "vlm", &["vlm."], Metrics::new(), &warnings)?;
         return Ok(vec![None; queries.len()]);
     }
@@ -116,14 +116,14 @@ pub(crate) fn cached_estimates(
         }
         if !answers.outcomes.is_empty() && answers.outcomes.iter().all(|o| o.estimate().is_none()) {
             let what = "the vision-language model answered about none of the objects";
-            let cure = "see the warnings above; or use --vlm auto, and the table or a prior stands in";
+            let cure = "see the warnings above; or use --vlm auto, which falls back to the table or a prior";
             return Err(InputError::new(what, config.url, cure).into());
         }
     }
     Ok(found.estimates)
 }
 
-/// Returns a client with the environment's key.
+/// Returns a client with the API key of the environment.
 pub(crate) fn client(config: &VlmConfig, seed: Seed) -> Result<Client, InputError> {
     let key = ApiKey::new(&std::env::var("OPENAI_API_KEY").unwrap_or_default())?;
     Client::new(config, key, seed)
@@ -151,7 +151,7 @@ fn summary(answers: &Answers, objects: usize, config: &VlmConfig) -> String {
     if usage.requests == 0 {
         let all = answers.cached();
         return format!(
-            "{:>16}: {all} of {objects} answered by {}, all stored before; no requests",
+            "{:>16}: {all} of {objects} answered by {}, all from stored replies; no requests",
             "vlm", config.model
         );
     }
@@ -162,7 +162,7 @@ fn summary(answers: &Answers, objects: usize, config: &VlmConfig) -> String {
         }
     };
     format!(
-        "{:>16}: {} of {objects} answered by {}, {} of these stored before; {} requests, {} + {} tokens, {cost}",
+        "{:>16}: {} of {objects} answered by {}, {} from stored replies; {} requests, {} + {} tokens, {cost}",
         "vlm",
         answers.answered(),
         config.model,

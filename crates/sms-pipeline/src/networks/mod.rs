@@ -1,4 +1,4 @@
-//! Sources of masks, and masks by the networks OWLv2 and SAM 2.1 (feature `nets`).
+//! Sources of masks, among them the networks OWLv2 and SAM 2.1 (feature `nets`).
 
 #[cfg(feature = "nets")]
 mod sam2;
@@ -18,16 +18,16 @@ pub enum MasksSource {
     /// Clusters of the fused depth.
     #[default]
     Geometry,
-    /// Label images that came with the recording.
+    /// Label images of the recording.
     Files,
-    /// The truth of a generated recording, for ablations.
+    /// The ground truth of a generated recording, for ablations.
     Truth,
     /// OWLv2 detects objects in the first frame, SAM 2.1 tracks them. Needs the feature `nets`.
     Networks(NetworksRequest),
 }
 
 impl MasksSource {
-    /// Returns the name, as `run.toml` and metrics have it.
+    /// Returns the name in `run.toml` and metrics.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Geometry => "geometry",
@@ -38,18 +38,18 @@ impl MasksSource {
     }
 }
 
-/// Choices for masks by networks.
+/// Options of masks by networks.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct NetworksRequest {
-    /// Object names to detect, separated by commas; by default household things.
+    /// Object names to detect, separated by commas; by default household objects.
     pub objects: Option<String>,
-    /// Boxes in the first frame, `NAME=X0,Y0,X1,Y1`. Without `objects`, nothing is detected beside them.
+    /// Boxes in the first frame, `NAME=X0,Y0,X1,Y1`. Without `objects`, no other objects are detected.
     pub boxes: Vec<String>,
-    /// Score above which a detection counts, 0 to 1.
+    /// Smallest score of a detection, 0 to 1.
     pub threshold: Option<f64>,
-    /// Overlap from which the lesser of two detections is dropped, 0 to 1.
+    /// Overlap above which the weaker of two detections is dropped, 0 to 1.
     pub max_overlap: Option<f64>,
-    /// How objects are tracked; by default with memory on a GPU and by prompts on a CPU.
+    /// Tracking method; by default memory on a GPU and reprompting on a CPU.
     pub tracking: Option<TrackMode>,
     /// Name of the SAM 2.1 model.
     pub sam2: Option<String>,
@@ -58,23 +58,23 @@ pub struct NetworksRequest {
 }
 
 impl NetworksRequest {
-    /// Whether anything says which objects to detect.
+    /// Returns whether any option selects the objects to detect.
     pub fn is_question(&self) -> bool {
         let Self { objects, boxes, threshold, max_overlap, .. } = self;
         objects.is_some() || !boxes.is_empty() || threshold.is_some() || max_overlap.is_some()
     }
 }
 
-/// How SAM 2 tracks objects.
+/// Tracking method of SAM 2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TrackMode {
-    /// By its memory, as in the paper.
+    /// With the memory of each object, as in the paper.
     Memory,
-    /// In each image by itself, with boxes carried by pose and depth: several times cheaper.
+    /// Segments each image from boxes projected by pose and depth; several times cheaper.
     Reprompt,
 }
 
-/// A network, as `sms models list` shows it.
+/// A network in `sms models list`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ModelEntry {
     /// Name for [`fetch_models`].
@@ -83,7 +83,7 @@ pub struct ModelEntry {
     pub repository: &'static str,
     /// Purpose and size.
     pub about: &'static str,
-    /// Folder and commit of the files, where they are in the cache.
+    /// Folder and commit of the files in the cache, if they are there.
     pub cached: Option<(PathBuf, String)>,
 }
 

@@ -22,13 +22,13 @@ pub(crate) struct Networks {
     tracker: HubModel,
     weights: Option<PathBuf>,
     device: Device,
-    /// Why the CPU computes although a GPU was expected.
+    /// Reason for using the CPU although a GPU was expected.
     without_gpu: Option<String>,
     read: ReadOptions,
 }
 
 impl Networks {
-    /// Checks the request; nothing is fetched yet.
+    /// Checks the request without fetching any model.
     pub(crate) fn new(a: &NetworksRequest, asked: Asked, read: &ReadOptions) -> Result<Self, Error> {
         let mut config = NetsConfig::default();
         config.threshold = a.threshold.unwrap_or(config.threshold);
@@ -59,8 +59,8 @@ impl Networks {
         })
     }
 
-    /// Returns everything that the masks depend on, for the stage's hash. Local weights count by their files' sizes and
-    /// times: reading half a gigabyte would take as long as some of the work.
+    /// Returns the inputs of the masks, for the stage's hash. Local weights are represented by the sizes and times of
+    /// their files, because reading half a gigabyte takes too long.
     pub(crate) fn settings(&self) -> Result<String, Error> {
         let HubModel { repository, revision, .. } = self.tracker;
         let boxes: Vec<_> =
@@ -73,7 +73,7 @@ impl Networks {
     pub(crate) fn describe(&self, metrics: &mut Metrics) {
         let track = match self.config.track {
             Track::Memory => "with memory",
-            Track::Reprompt => "prompted anew in each frame",
+            Track::Reprompt => "prompted again in each frame",
         };
         let device = if self.device.is_cpu() { "cpu" } else { "gpu" };
         metrics.set("masks.model", self.tracker.repository).set("masks.track", track);
@@ -83,7 +83,7 @@ impl Networks {
         }
     }
 
-    /// Returns a segmenter that shows the detections of the first frame before it tracks them, which takes minutes.
+    /// Returns a segmenter that shows the detections of the first frame before tracking, which takes minutes.
     pub(crate) fn segmenter<'a>(
         &'a self,
         context: &'a Context,
@@ -93,14 +93,14 @@ impl Networks {
         ShownSegmenter { networks: self, context, dir, run }
     }
 
-    /// Shows the detections in the first frame of a run; no mask is changed.
+    /// Shows the detections in the first frame of a run without changing its masks.
     pub(crate) fn preview(&self, context: &Context, sequence: &Sequence, run: &Path) -> Result<(), Error> {
         let hub = HubConfig::from_environment();
         let folder = |model: HubModel| {
             model.folder(self.weights.as_deref(), &hub, context.progress.as_ref(), &context.cancel)
         };
         let owlv2 = self.detector()?.map(folder).transpose().map_err(MasksError::from)?;
-        // The tracker is not used.
+        // The tracker is not needed here.
         let networks = self.masks(ModelFolders { owlv2, sam2: PathBuf::new() });
         let warnings = Warnings::new();
         self.warn(&warnings);
@@ -109,14 +109,14 @@ impl Networks {
         show_found(context, run, sequence, &boxes_of(&found))
     }
 
-    /// Warns where the CPU computes although a GPU was expected.
+    /// Warns if the networks run on the CPU although a GPU was expected.
     fn warn(&self, warnings: &Warnings) {
         if let Some(why) = &self.without_gpu {
             warnings.add(
                 "masks",
                 "gpu_not_used",
-                format!("{why}; the networks compute on the CPU"),
-                "build with `--features cuda` or `metal`; --device cpu asks for no GPU",
+                format!("{why}; the networks run on the CPU"),
+                "build with `--features cuda` or `metal`; --device cpu avoids this warning",
             );
         }
     }
@@ -185,8 +185,8 @@ fn files_of(folder: &Path) -> Vec<(PathBuf, u64, Option<f64>)> {
     paths.into_iter().filter_map(of).collect()
 }
 
-/// Returns the device, and why it is not a GPU where one was asked for or the build is for one. Of several GPUs it is the first
-/// that CUDA or Metal names: the numbers of `sms devices` are those of another interface.
+/// Returns the device and, if a GPU was requested or the build is for one, the reason why it is not a GPU. Of several
+/// GPUs it uses the first of CUDA or Metal; the indices of `sms devices` belong to another interface.
 fn device(asked: Asked) -> (Device, Option<String>) {
     let is_for_gpu = cfg!(any(feature = "cuda", feature = "metal"));
     match asked {
@@ -220,7 +220,7 @@ fn gpu() -> Result<Device, String> {
     Err("this program was built without the features `cuda` and `metal`".into())
 }
 
-/// Boxes with the ids that their labels get.
+/// Returns the boxes with the ids of their labels.
 fn boxes_of(found: &[DetectedObject]) -> Vec<FoundBox> {
     let of = |(i, f): (usize, &DetectedObject)| FoundBox {
         id: i as u16 + 1,
@@ -231,7 +231,7 @@ fn boxes_of(found: &[DetectedObject]) -> Vec<FoundBox> {
     found.iter().enumerate().map(of).collect()
 }
 
-/// Finds a model by name. Errors of the networks go on as those of masks, which have their exit codes.
+/// Finds a model by name. Errors of the networks become errors of masks, which define the exit codes.
 fn known(name: &str) -> Result<HubModel, MasksError> {
     Ok(model(name)?)
 }

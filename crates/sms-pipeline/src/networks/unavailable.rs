@@ -1,4 +1,4 @@
-//! The networks of a build without the feature `nets`: every use is an error.
+//! Replacement of the networks in builds without the feature `nets`: every use is an error.
 
 use super::{ModelEntry, NetworksRequest};
 use crate::{Context, Device, Error};
@@ -9,7 +9,7 @@ use sms_masks::{MasksError, Segmenter};
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 
-/// Cannot be made.
+/// Cannot be constructed.
 pub(crate) struct Networks(Infallible);
 
 impl Networks {
@@ -45,7 +45,7 @@ impl Segmenter for Unavailable {
 /// Lists the networks.
 ///
 /// # Errors
-/// [`Error::Input`]: this build has none.
+/// [`Error::Input`]: this build has no networks.
 pub fn list_models() -> Result<Vec<ModelEntry>, Error> {
     Err(none().into())
 }
@@ -53,7 +53,7 @@ pub fn list_models() -> Result<Vec<ModelEntry>, Error> {
 /// Fetches networks into the Hugging Face cache.
 ///
 /// # Errors
-/// [`Error::Input`]: this build has none.
+/// [`Error::Input`]: this build has no networks.
 pub fn fetch_models(_: &[String], _: &Context) -> Result<Vec<(String, PathBuf)>, Error> {
     Err(none().into())
 }

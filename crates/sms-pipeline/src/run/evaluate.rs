@@ -1,4 +1,4 @@
-//! The reconstruction compared with known models or with the truth.
+//! Compares the reconstruction with known models or the ground truth.
 
 use super::{Run, RunSettings};
 use crate::Error;
@@ -14,26 +14,26 @@ use sms_sim::{RapierFactory, RestingDrift, resting_drift};
 use sms_synth::{TruthScene, read_truth};
 use std::path::Path;
 
-/// How long the scene is left alone to see whether it rests, seconds.
+/// Simulated time of the rest check, seconds.
 const REST_S: f64 = 1.0;
 
 /// Result of [`Run::evaluate`].
 #[derive(Debug, Clone)]
 pub struct EvaluateOutcome {
-    /// The pairs, in the order of the known objects.
+    /// The compared pairs, in the order of the known objects.
     pub comparisons: Vec<Comparison>,
-    /// Whether the known objects are the truth of a generated recording.
+    /// Whether the known objects are the ground truth of a generated recording.
     pub is_truth: bool,
-    /// Largest drift of a body that is left alone (metres, radians), and for how many seconds; `None` where the scene
-    /// cannot be simulated.
+    /// Largest drift of a body at rest (metres, radians), and the simulated time in seconds; `None` if the scene cannot
+    /// be simulated.
     pub drift: Option<(f64, f64, f64)>,
 }
 
 impl Run<'_> {
-    /// Compares the entities with the models of an `objects.json`, or with the truth of a generated recording.
+    /// Compares the entities with the models of an `objects.json`, or with the ground truth of a generated recording.
     ///
     /// # Errors
-    /// [`Error::Input`] when there is nothing to compare with.
+    /// [`Error::Input`] without known objects.
     pub fn evaluate(&self, objects: Option<&Path>) -> Result<EvaluateOutcome, Error> {
         let run = self.open()?;
         let set = load_entities(&run.stage_dir("entities", "materialize")?)?;
@@ -69,13 +69,13 @@ impl Run<'_> {
 
 fn truth_of(recording: &Path) -> Result<TruthScene, Error> {
     if !recording.join("truth").join("truth.json").is_file() {
-        let cure = "give known models with --objects FILE (see docs/objects.md)";
-        return Err(InputError::new("there is nothing to compare with", recording, cure).into());
+        let cure = "pass known models with --objects FILE (see docs/objects.md)";
+        return Err(InputError::new("no known models to compare with", recording, cure).into());
     }
     Ok(read_truth(recording)?)
 }
 
-/// Adds which objects and balls of the truth were found.
+/// Adds metrics of the found objects and balls of the ground truth.
 fn add_found(comparisons: &[Comparison], truth: &TruthScene, metrics: &mut Metrics) {
     for c in comparisons {
         metrics.set(format!("evaluate.{}.truth", c.entity), c.known.clone());
@@ -85,15 +85,15 @@ fn add_found(comparisons: &[Comparison], truth: &TruthScene, metrics: &mut Metri
     metrics.set("evaluate.objects_found", comparisons.len());
 }
 
-/// Returns how far each body moves when the scene is left alone. A scene that cannot be simulated becomes a warning.
+/// Returns the drift of each body when the scene is simulated at rest. Warns if the scene cannot be simulated.
 fn contact_drift(run: &RunFolder, warnings: &Warnings) -> Result<Vec<RestingDrift>, Error> {
     let scene = load_scene(&run.stage_dir("scene", "materialize")?)?;
     Ok(resting_drift(&RapierFactory, &scene, REST_S).unwrap_or_else(|error| {
         warnings.add(
             "evaluate",
             "not_simulated",
-            format!("the scene cannot be simulated, so its contact drift is not known: {error}"),
-            "look at the objects in the report",
+            format!("the scene cannot be simulated, so its drift at rest is unknown: {error}"),
+            "check the objects in the report",
         );
         Vec::new()
     }))

@@ -1,4 +1,4 @@
-//! The plan in the target world.
+//! Executes the plan in the target world.
 
 use super::Run;
 use super::RunSettings;
@@ -17,7 +17,7 @@ use sms_target::{
 use sms_task::{Execution, Task};
 use std::path::{Path, PathBuf};
 
-/// Choices of [`Run::execute`].
+/// Options of [`Run::execute`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ExecuteRequest {
     /// Engine of the target world; by default the best one of this build.
@@ -47,7 +47,7 @@ pub enum ExecuteOutcome {
     },
 }
 
-/// A plan that is to be executed.
+/// A plan to execute.
 struct Order<'a> {
     plan_dir: &'a Path,
     scene_dir: &'a Path,
@@ -56,7 +56,7 @@ struct Order<'a> {
 }
 
 impl Order<'_> {
-    /// Hashes the plan, the scene as it is now, the truth and the engine.
+    /// Hashes the plan, the current scene, the ground truth and the engine.
     fn hash(&self, plan: &str) -> Result<Hash, Error> {
         let mut read = Hasher::new();
         read.file(&self.plan_dir.join(plan))?
@@ -67,17 +67,17 @@ impl Order<'_> {
     }
 }
 
-/// Whether a plan is one of a landing.
+/// Returns whether a plan is for a landing.
 pub(super) fn is_landing(plan_dir: &Path) -> bool {
     plan_dir.join(LANDING_PLAN_FILE).is_file()
 }
 
 impl Run<'_> {
-    /// Executes the plan in an independent target world made from the recording's truth.
+    /// Executes the plan in an independent target world built from the recording's ground truth.
     ///
     /// # Errors
-    /// [`Error::Input`] when the recording has no truth or the engine is not built in; [`Error::Target`] when the world
-    /// cannot be built.
+    /// [`Error::Input`] if the recording has no ground truth or the engine is not built in; [`Error::Target`] if the
+    /// world cannot be built.
     pub fn execute(&self, request: &ExecuteRequest) -> Result<ExecuteOutcome, Error> {
         let run = self.open()?;
         let plan_dir = run.stage_dir("plan", "plan --task TASK.toml")?;
@@ -86,10 +86,10 @@ impl Run<'_> {
         let truth_file = recording.join("truth").join("truth.json");
         if !truth_file.is_file() {
             return Err(InputError::new(
-                "this recording has no target world to execute in",
+                "this recording has no ground truth to execute in",
                 &truth_file,
-                "execution needs a generated recording (`sms sample DIR`, `sms demo billiards`); of a real scene, take \
-                 plan/plan.json to your robot",
+                "use a generated recording (`sms sample DIR`, `sms demo billiards`); for a real scene, execute \
+                 plan/plan.json on your robot",
             )
             .into());
         }
@@ -111,7 +111,7 @@ impl Run<'_> {
         let scene = load_scene(order.scene_dir)?;
         let plan = load_plan(order.plan_dir)?;
         let task = Task::read(&order.plan_dir.join("task.toml"))?;
-        // The same robot as in the plan, wherever it would stand now.
+        // Uses the robot of the plan, even if the settings have changed since.
         let robot = plan.robot.clone().unwrap_or_default();
         let options = TargetOptions { robot, arm, ..TargetOptions::default() };
         let hash = inputs_hash(&[&order.hash("plan.json")?], &options)?;
@@ -148,11 +148,11 @@ fn arm_of(arm: ArmKind, engine: TargetEngine) -> Result<ArmKind, InputError> {
     if arm == ArmKind::Shared || matches!(engine, TargetEngine::Physx | TargetEngine::PhysxStock) {
         return Ok(arm);
     }
-    let what = format!("{} has no articulation of its own for the arm", engine.name());
+    let what = format!("the engine {} cannot simulate the arm as an articulation", engine.name());
     Err(InputError::new(what, "--arm", "add `--engine physx`, or leave `--arm` out"))
 }
 
-/// Warns where the plan's target is another ball than the scene's target ball.
+/// Warns if the plan's target is not the scene's target ball.
 fn warn_other_target(
     plan: &Plan,
     task: &Task,
@@ -168,7 +168,7 @@ fn warn_other_target(
             "target",
             "other_target",
             format!(
-                "the plan's target `{planned}` is {} in the true world, whose target ball is `{}`",
+                "the plan's target `{planned}` matches {} in the true world, where the target ball is `{}`",
                 struck.map_or_else(|| "nothing".to_owned(), |name| format!("`{name}`")),
                 truth.target
             ),

@@ -1,4 +1,4 @@
-//! The scene for another simulator.
+//! Exports the scene for other simulators.
 
 use super::Run;
 use crate::Error;
@@ -7,11 +7,11 @@ use sms_scene::load_scene;
 use std::path::{Path, PathBuf};
 
 impl Run<'_> {
-    /// Writes the scene in these formats and returns the main file of each. Without `out` each goes to
-    /// `export/FORMAT` in the run; several formats share `out`, each in a folder of its own below it.
+    /// Writes the scene in these formats and returns the main file of each. The folder is `export/FORMAT` in the run by
+    /// default; with several formats, each has a subfolder of `out`.
     ///
     /// # Errors
-    /// [`Error::Core`] when there is no scene or a file cannot be written.
+    /// [`Error::Core`] if there is no scene or a file cannot be written.
     pub fn export(&self, formats: &[Format], out: Option<&Path>) -> Result<Vec<PathBuf>, Error> {
         let run = self.open_to_read()?;
         let dir = run.stage_dir("scene", "materialize")?;

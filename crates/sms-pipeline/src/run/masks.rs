@@ -1,4 +1,4 @@
-//! The masks of a run, to look at.
+//! Access to the masks of a run.
 
 use super::Run;
 use crate::networks::Networks;
@@ -13,12 +13,12 @@ impl Run<'_> {
     /// Reads the masks.
     ///
     /// # Errors
-    /// [`Error::Input`] when there are none.
+    /// [`Error::Input`] if there are none.
     pub fn masks(&self) -> Result<Labels, Error> {
         let masks = self.folder.join("masks");
         if !masks.join("labels.json").is_file() {
-            let cure = "give the folder of a run: `sms scan RECORDING --out RUN` makes one";
-            return Err(InputError::new("there are no masks here", &self.folder, cure).into());
+            let cure = "use the folder of a run, which `sms scan RECORDING --out RUN` creates";
+            return Err(InputError::new("this folder has no masks", &self.folder, cure).into());
         }
         Ok(load_labels(&masks)?)
     }
@@ -26,15 +26,15 @@ impl Run<'_> {
     /// Writes `preview.png`, the first frame with its masks and detections, and returns its path.
     ///
     /// # Errors
-    /// [`Error::Core`] when a file cannot be read or written.
+    /// [`Error::Core`] if a file cannot be read or written.
     pub fn preview_masks(&self, labels: &Labels) -> Result<PathBuf, Error> {
         write_masks_preview(&self.folder, labels)
     }
 
-    /// Detects objects in the first frame, reports them as events and writes `preview.png`; no mask is changed.
+    /// Detects objects in the first frame, reports them as events and writes `preview.png`, without changing the masks.
     ///
     /// # Errors
-    /// [`Error::Input`] for bad choices, or in a build without networks.
+    /// [`Error::Input`] for invalid options, or in a build without networks.
     pub fn preview_detections(&self, request: &NetworksRequest) -> Result<(), Error> {
         let sequence = Sequence::load(&self.folder.join("frames"))?;
         let read = self.context.settings.section("read", ReadOptions::default())?;

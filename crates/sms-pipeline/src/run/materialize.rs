@@ -22,12 +22,12 @@ use std::time::Instant;
 /// File of an entity's own Gaussians, in its folder.
 const GAUSSIANS: &str = "gaussians.ply";
 
-/// Choices of [`Run::materialize`].
+/// Options of [`Run::materialize`].
 #[derive(Debug, Clone, Default)]
 pub struct MaterializeRequest {
     /// A TOML file with material values of the user (`[object.NAME] class = "ceramic"`).
     pub materials: Option<PathBuf>,
-    /// Whether a vision-language model is asked about the objects.
+    /// Use of a vision-language model for materials.
     pub vlm: VlmMode,
 }
 
@@ -44,7 +44,8 @@ impl Run<'_> {
     /// Turns the scan into a scene: entities with meshes, materials, bodies.
     ///
     /// # Errors
-    /// [`Error::Input`] when there is no scan or its objects were edited since; else the error of the stage that failed.
+    /// [`Error::Input`] if there is no scan or its objects were edited since; otherwise the error of the stage that
+    /// failed.
     pub fn materialize(&self, request: &MaterializeRequest) -> Result<MaterializeOutcome, Error> {
         let run = self.open()?;
         let gaussians_dir = run.stage_dir("gaussians", "scan DIR --out")?;
@@ -53,7 +54,7 @@ impl Run<'_> {
         let settings = RunSettings::of(&run)?;
         let mut config = self.context.settings.section("entities", EntitiesConfig::default())?;
         run.record_settings("entities", &config)?;
-        // Unfinished stages are redone from the start, but not the convex decompositions.
+        // Unfinished stages start again, but keep finished convex decompositions.
         config.parts_cache = Some(run.root().join("cache").join("parts"));
         let read = self.context.settings.section("read", ReadOptions::default())?;
         let labels = load_labels(&masks_dir)?;
@@ -61,7 +62,7 @@ impl Run<'_> {
         let seed = Seed(settings.seed);
 
         let before = run.stage_hash("gaussians").unwrap_or(Hash(String::new()));
-        // Names and descriptions may be edited without another scan.
+        // Names and descriptions may be edited without a new scan.
         let names: Vec<_> = labels.objects.iter().map(|o| (o.id, &o.name, &o.description)).collect();
         let hash = inputs_hash(&[&before], &(&config, seed, &read, names))?;
         let (sequence, mut labels) = trained_only(Sequence::load(&frames_dir)?, labels, settings.holdout);
@@ -113,7 +114,7 @@ fn refuse_other_objects(settings: &RunSettings, labels: &Labels, masks_dir: &Pat
     if *trained == regions_hash(labels)?.0 {
         return Ok(());
     }
-    let what = "the scan was made with other objects than these";
+    let what = "the scan was trained with other objects";
     let cure = "scan again into this run, which trains objects that were merged or separated";
     Err(InputError::new(what, masks_dir.join("labels.json"), cure).into())
 }
@@ -126,12 +127,12 @@ fn overrides(
 ) -> Result<Overrides, Error> {
     let edits = Overrides::read_optional(&run.root().join(EDITS))?;
     let Some(path) = request.materials.as_deref() else { return Ok(edits) };
-    // Each file answers for its own mistakes.
+    // Checks each file separately, so that errors name the right one.
     edits.check(queries, &MaterialTable::builtin())?;
     Ok(edits.under(Overrides::read(path)?))
 }
 
-/// Writes the scene with its MJCF form and the Gaussians of its bodies.
+/// Writes the scene, its MJCF and the Gaussians of its bodies.
 fn write_scene(scene: &Scene, dir: &Path, entities_dir: &Path) -> Result<(), Error> {
     save_scene(dir, scene)?;
     for body in &scene.bodies {

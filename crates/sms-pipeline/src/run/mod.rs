@@ -1,4 +1,4 @@
-//! A run on disk: the stages through the cache.
+//! A run on disk: the stages with the cache.
 
 mod evaluate;
 mod execute;
@@ -26,17 +26,17 @@ use sms_core::metrics::Metrics;
 use sms_core::{CoreError, InputError, RunFolder, atomic};
 use std::path::{Path, PathBuf};
 
-/// The pipeline on a folder: every method runs one command, reuses stages whose inputs have not changed, and leaves
-/// its result for the next command.
+/// The pipeline on a folder: each method runs one command, reuses stages with unchanged inputs, and stores its result
+/// for the next command.
 ///
-/// A method that writes locks the folder while it works.
+/// Methods that write lock the folder.
 pub struct Run<'c> {
     folder: PathBuf,
     context: &'c Context,
 }
 
 impl<'c> Run<'c> {
-    /// A run in `folder`, which [`Run::scan`] makes where it is missing. Nothing is read yet.
+    /// Returns a run in `folder` without reading it; [`Run::scan`] creates the folder if it is missing.
     pub fn new(folder: impl Into<PathBuf>, context: &'c Context) -> Self {
         Self { folder: folder.into(), context }
     }
@@ -49,7 +49,7 @@ impl<'c> Run<'c> {
     /// Reads all metrics of the run.
     ///
     /// # Errors
-    /// [`Error::Core`] when they cannot be read.
+    /// [`Error::Core`] if they cannot be read.
     pub fn metrics(&self) -> Result<Metrics, Error> {
         Ok(Metrics::load(&self.folder.join("metrics.json"))?)
     }
@@ -57,7 +57,7 @@ impl<'c> Run<'c> {
     /// Reads the settings of the scan.
     ///
     /// # Errors
-    /// [`Error::Input`] or [`Error::Core`] when there is no scan.
+    /// [`Error::Input`] or [`Error::Core`] if there is no scan.
     pub fn settings(&self) -> Result<RunSettings, Error> {
         RunSettings::of(&self.open_to_read()?)
     }
@@ -78,7 +78,7 @@ fn read_optional<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, Error> {
     }
     atomic::read_json(path).map(Some).map_err(|e| match e {
         CoreError::Input(e) => {
-            let cure = "restore it; or delete it, and the report is written without it".into();
+            let cure = "restore it, or delete it to write the report without it".into();
             InputError { cure, ..e }.into()
         }
         other => other.into(),

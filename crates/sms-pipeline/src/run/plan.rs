@@ -19,9 +19,9 @@ use sms_vlm::Cache;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Frames in which the floor is looked for at the task's places.
+/// Number of frames that are checked for the floor at the task's positions.
 const FLOOR_FRAMES: usize = 24;
-/// A baseline's choice, beside its plan.
+/// File of a baseline's choice, beside its plan.
 pub(super) const CHOICE_FILE: &str = "choice.json";
 /// Pictures of the candidates, with their captions.
 pub(super) const PICTURES: [(&str, &str); 2] = [
@@ -29,7 +29,7 @@ pub(super) const PICTURES: [(&str, &str); 2] = [
     ("choice_approaches.png", "approaches to it, the chosen one in colour"),
 ];
 
-/// Choices of [`Run::plan`].
+/// Options of [`Run::plan`].
 #[derive(Debug, Clone, Default)]
 pub struct PlanRequest {
     /// The task file (TOML), of a strike or a landing.
@@ -38,14 +38,14 @@ pub struct PlanRequest {
     pub seed: Option<Seed>,
     /// Number of perturbed worlds in which actions are compared; 0 plans for the scanned world alone.
     pub robust: Option<usize>,
-    /// LandingChooser of a landing.
+    /// Chooser of a landing.
     pub chooser: LandingChooser,
-    /// Whether the settings start from those of a quick search.
+    /// Whether to start from the settings of a quick search.
     pub draft: bool,
 }
 
 impl PlanRequest {
-    /// A plan for a task file with default choices.
+    /// Returns a request for a task file with default options.
     pub fn new(task: impl Into<PathBuf>) -> Self {
         Self { task: task.into(), ..Self::default() }
     }
@@ -58,7 +58,7 @@ pub enum PlannedTask {
     Strike {
         /// The plan.
         plan: Box<Plan>,
-        /// Names of the ball that is struck and of the target.
+        /// Names of the struck ball and of the target.
         bodies: [String; 2],
         /// Folder of the plan.
         dir: PathBuf,
@@ -76,13 +76,14 @@ impl Run<'_> {
     /// Plans the best action for a task.
     ///
     /// # Errors
-    /// [`Error::Input`], [`Error::Task`] or [`Error::Landing`] when the task does not fit the scene; else that of the planner.
+    /// [`Error::Input`], [`Error::Task`] or [`Error::Landing`] if the task does not fit the scene; otherwise the error
+    /// of the planner.
     pub fn plan(&self, request: &PlanRequest) -> Result<PlannedTask, Error> {
         if LandingTask::is_landing(&request.task) {
             return self.plan_landing(request);
         }
         if request.chooser != LandingChooser::Search {
-            let what = "only landings have other choosers";
+            let what = "only landings have a choice of choosers";
             return Err(InputError::new(what, "--chooser", "leave `--chooser` out").into());
         }
         let task = Task::read(&request.task)?;
@@ -110,7 +111,7 @@ impl Run<'_> {
                 warnings.add(
                     "plan",
                     "evaluations_unused",
-                    "`plan.evaluations` has no effect where perturbed worlds are compared",
+                    "`plan.evaluations` has no effect when perturbed worlds are compared",
                     "set `plan.robust_evaluations`, or plan with --robust 0",
                 );
             }
@@ -125,8 +126,8 @@ impl Run<'_> {
         Ok(PlannedTask::Strike { plan: Box::new(load_plan(&dir)?), bodies, dir })
     }
 
-    /// Plans a landing. A refusal of the task is also kept as a warning, so that the report shows it, and no earlier plan
-    /// stays that would be flown in its place.
+    /// Plans a landing. A refused task is also saved as a warning for the report, and an earlier plan is removed so
+    /// that it is not flown by mistake.
     fn plan_landing(&self, request: &PlanRequest) -> Result<PlannedTask, Error> {
         let run = self.open()?;
         let error = match self.landing_stage(request, &run) {
@@ -222,7 +223,7 @@ fn seed(request: &PlanRequest, run: &RunFolder) -> Result<Seed, Error> {
     }
 }
 
-/// Hashes the scene as it is now, since a user may have edited a mass or a friction, and the robot's URDF.
+/// Hashes the current scene, in which a user may have edited a mass or a friction, and the robot's URDF.
 fn manifest_hash(scene_dir: &Path, urdf: Option<&Path>) -> Result<Hash, Error> {
     let mut manifest = Hasher::new();
     manifest.file(&scene_dir.join("scene.json"))?;
@@ -232,8 +233,8 @@ fn manifest_hash(scene_dir: &Path, urdf: Option<&Path>) -> Result<Hash, Error> {
     Ok(manifest.finish())
 }
 
-/// Refuses places where the recording shows something lower: in the simulation the floor has no end. Returns those
-/// that no frame shows.
+/// Refuses positions where the recording shows a lower surface, because the simulated floor is infinite. Returns the
+/// positions that no frame shows.
 fn refuse_places_off_the_floor(
     run: &RunFolder,
     task: &ResolvedTask,
@@ -250,9 +251,9 @@ fn refuse_places_off_the_floor(
         match floor_at(frames.iter().map(|(camera, depth)| (camera, depth)), place_w) {
             FloorAt::Missing => {
                 return Err(InputError::new(
-                    format!("{what}, is off the floor: the recording shows nothing at its height there"),
+                    format!("{what}, is off the floor: the recording shows no surface at its height there"),
                     file,
-                    "choose a place on the recorded floor (the report's 3-D view shows it, and prints the line to paste)",
+                    "choose a position on the recorded floor (the report's 3-D view shows it and prints the line to paste)",
                 )
                 .into());
             }
@@ -269,7 +270,7 @@ fn warn_out_of_view(places: &[String], warnings: &Warnings) {
             "plan",
             "place_not_recorded",
             format!("no frame of the recording shows {place}; the floor is assumed to continue there"),
-            "make sure that it does, or choose a place that was recorded",
+            "check the floor there, or choose a recorded position",
         );
     }
 }

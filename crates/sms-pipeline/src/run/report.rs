@@ -1,4 +1,4 @@
-//! One page with everything that the run has.
+//! Writes the report page of a run.
 
 use super::execute::is_landing;
 use super::plan::{CHOICE_FILE, PICTURES};
@@ -19,15 +19,15 @@ use sms_target::{LANDING_EXECUTION_FILE, LandingExecution};
 use sms_task::{Execution, ResolvedTask, Task};
 use std::path::{Path, PathBuf};
 
-/// Frames shown, spread over the recording; held-out ones where there are any.
+/// Number of frames shown, spread over the recording; held-out ones if there are any.
 const VIEWS: usize = 3;
 
 impl Run<'_> {
-    /// Writes the report and returns the page's path. With the feature `rerun`, `run.rrd` beside it holds the same for the
-    /// Rerun viewer.
+    /// Writes the report and returns the page's path. With the feature `rerun`, also writes `run.rrd` for the Rerun
+    /// viewer.
     ///
     /// # Errors
-    /// [`Error::Core`] when there is no scan; [`Error::Report`] when the page cannot be written.
+    /// [`Error::Core`] if there is no scan; [`Error::Report`] if the page cannot be written.
     pub fn report(&self) -> Result<PathBuf, Error> {
         let run = self.open_to_read()?;
         let settings = RunSettings::of(&run)?;
@@ -53,7 +53,7 @@ impl Run<'_> {
         };
         let engine = execution.as_ref().map(|e| &e.engine);
         let landed_in = landed.as_ref().and_then(|l| l.execution.as_ref()).map(|e| &e.engine);
-        // The plan of a landing holds which bodies could move in it.
+        // The plan of a landing stores which bodies could move.
         let planned_in = landed.as_ref().zip(scene.as_ref()).map(|(l, scene)| l.plan.world(scene));
         let input = ReportInput {
             title,
@@ -84,7 +84,7 @@ impl Run<'_> {
     }
 }
 
-/// Recording, masks, preset and engine, in one line.
+/// Returns one line with recording, masks, preset and engine.
 fn subtitle(settings: &RunSettings, metrics: &Metrics, engine: Option<&String>) -> String {
     let unknown = metrics.number("masks.unknown").filter(|n| *n > 0.0);
     let unknown = unknown.map_or_else(String::new, |n| format!(" and {n} unknown"));
@@ -121,12 +121,12 @@ impl Landed {
     }
 }
 
-/// Loads the landing; `None` where the plan is of another kind.
+/// Loads the landing; `None` if the plan is of another kind.
 fn landed(run: &RunFolder, scene: Option<&Scene>) -> Result<Option<Landed>, Error> {
     let Some(dir) = run.stage_dir("plan", "plan").ok().filter(|d| is_landing(d)) else { return Ok(None) };
     let mut plan = LandingPlan::load(&dir)?;
     if let Some(scene) = scene.filter(|_| cfg!(feature = "rerun")) {
-        // Files hold no particles: the flight is simulated again for them.
+        // Files do not contain particles, so the flight is simulated again.
         let options = RolloutOptions { recording: Some(recording(true)), ..RolloutOptions::default() };
         let (world, landing) = (plan.world(scene), plan.landing());
         let flown = rollout_landing(&RapierFactory, &plan.wash, &world, &landing, &plan.action, &options)?;
@@ -187,12 +187,7 @@ fn views(run: &RunFolder, model: &GaussianModel, holdout: usize) -> Result<Vec<V
     let labels = load_labels(&masks_dir)?;
     if labels.maps.len() != sequence.len() {
         let what = format!("there are {} masks for {} frames", labels.maps.len(), sequence.len());
-        return Err(InputError::new(
-            what,
-            &masks_dir,
-            "make the masks again: `sms scan` with the same folder",
-        )
-        .into());
+        return Err(InputError::new(what, &masks_dir, "run `sms scan` again with the same folder").into());
     }
     let mut candidates = sequence.held_out(holdout);
     if candidates.is_empty() {

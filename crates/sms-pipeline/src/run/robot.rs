@@ -1,4 +1,4 @@
-//! The arm's motion for a planned strike.
+//! Plans the arm's motion for a planned strike.
 
 use super::{Run, RunSettings};
 use crate::cache::{inputs_hash, run_stage};
@@ -16,12 +16,12 @@ use sms_scene::{Scene, load_scene};
 use sms_task::{ResolvedTask, Task};
 use std::path::{Path, PathBuf};
 
-/// Choices of [`Run::robot`].
+/// Options of [`Run::robot`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RobotRequest {
-    /// Pose of the robot's base in the run's world; by default that of the plan or the settings.
+    /// Pose of the robot's base in the run's world; by default from the plan or the settings.
     pub x_world_robot: Option<DPose3>,
-    /// Whether a motion that fails a check is written, too, under another name.
+    /// Whether to write a motion that fails a check, too, under another name.
     pub keep_failed: bool,
 }
 
@@ -30,15 +30,15 @@ pub struct RobotRequest {
 pub struct RobotOutcome {
     /// Name of the robot.
     pub robot: String,
-    /// Name of the ball that it strikes.
+    /// Name of the struck ball.
     pub cue: String,
     /// The checks.
     pub check: StrikeCheck,
-    /// File of the motion, where one was written.
+    /// File of the motion, if one was written.
     pub program: Option<PathBuf>,
-    /// The striker that the plan's prediction is for, where that is not this robot at this place.
+    /// The striker of the plan's prediction, if it is not this robot at this pose.
     pub predicted_for: Option<String>,
-    /// Whether the settings place the robot elsewhere than the plan does.
+    /// Whether the settings and the plan have different poses of the robot.
     pub is_elsewhere_in_settings: bool,
 }
 
@@ -46,7 +46,7 @@ impl Run<'_> {
     /// Plans the arm's motion for the planned strike, checks it, and writes it for the robot.
     ///
     /// # Errors
-    /// [`Error::Input`] when the robot's place is not known or the arm cannot make the strike.
+    /// [`Error::Input`] if the robot's pose is not known or the arm cannot make the strike.
     pub fn robot(&self, request: &RobotRequest) -> Result<RobotOutcome, Error> {
         let run = self.open()?;
         let scene_dir = run.stage_dir("scene", "materialize")?;
@@ -55,7 +55,7 @@ impl Run<'_> {
         let scan = RunSettings::of(&run).ok();
         let stated = RobotPlace::of(&self.context.settings, scan.as_ref())?;
         let plan = load_plan(&plan_dir)?;
-        // The planned robot is the one that is checked.
+        // Checks the robot of the plan.
         let config = match &plan.robot {
             Some(planned) => RobotConfig { period_s: stated.config.period_s, ..planned.clone() },
             None => stated.config.clone(),
@@ -72,7 +72,7 @@ impl Run<'_> {
         read.file(&plan_dir.join("plan.json"))?
             .file(&plan_dir.join("task.toml"))?
             .file(&scene_dir.join("scene.json"))?;
-        // Everything that was read of the robot counts: its URDF, and the meshes and packages that this names.
+        // Includes all files of the robot: its URDF, and the meshes and packages that it names.
         let robot_text = format!("{robot:?}");
         let hash = inputs_hash(&[&read.finish()], &(&config, robot_text, request.keep_failed))?;
         let dir = run_stage(self.context, &run, "robot", &hash, |stage, _| {
@@ -98,7 +98,7 @@ impl Run<'_> {
     }
 }
 
-/// A planned strike with the robot that is to make it.
+/// A planned strike and its robot.
 struct PlannedMotion<'a> {
     robot: &'a RobotModel,
     config: &'a RobotConfig,
@@ -124,7 +124,7 @@ impl PlannedMotion<'_> {
         let around = obstacles(scene, task.cue().index);
         let strike = plan_strike(robot, &sweep, &around, &settings, &mut ws).map_err(|e| {
             let cure = format!(
-                "{}; then plan again, so that only strikes within the arm's reach are compared",
+                "{}; then plan again, so that the search only compares strikes within the arm's reach",
                 e.cure()
             );
             InputError::new(format!("the arm cannot make this strike: {e}"), "[robot]", cure)
@@ -147,8 +147,8 @@ impl PlannedMotion<'_> {
     }
 }
 
-/// Returns the name of the program's files, without extension; `None` where none is written: a robot's own program that
-/// looks for `program.json` must never find a motion that failed.
+/// Returns the name of the program's files, without extension; `None` if no file is written. A motion that failed must
+/// have another name than `program`, which robots load.
 fn program_name(check: &StrikeCheck, keep_failed: bool) -> Option<&'static str> {
     match (check.executable(), keep_failed) {
         (true, _) => Some("program"),
@@ -158,9 +158,9 @@ fn program_name(check: &StrikeCheck, keep_failed: bool) -> Option<&'static str> 
 }
 
 fn striker_of(plan: &Plan) -> String {
-    let name = if plan.striker.is_empty() { "a finger that gives no way" } else { &plan.striker };
+    let name = if plan.striker.is_empty() { "a kinematic finger" } else { &plan.striker };
     match &plan.robot {
-        Some(_) => format!("{name}, standing elsewhere"),
+        Some(_) => format!("{name} at another pose"),
         None => name.to_owned(),
     }
 }

@@ -16,24 +16,24 @@ use sms_masks::{
 use sms_poses::{PosesConfig, PosesMode};
 use std::path::{Path, PathBuf};
 
-/// Choices of a scan that are not settings of a stage, or that go before these.
+/// Options of a scan that are not settings of a stage, or override these.
 #[derive(Debug, Clone, Default)]
 pub struct ScanRequest {
-    /// How much work to spend.
+    /// Preset of resolution and training steps.
     pub preset: Preset,
     /// Source of the object masks.
     pub masks: MasksSource,
-    /// Whether poses are refined; by default as the settings say.
+    /// Mode of the pose refinement; by default from the settings.
     pub refine_poses: Option<PosesMode>,
-    /// Keeps every N-th frame out of training (0: none); by default as the settings say.
+    /// Holds every N-th frame out of training (0: none); by default from the settings.
     pub holdout: Option<usize>,
-    /// Device that computes.
+    /// Device of the scan.
     pub device: Device,
-    /// Seed of everything random; by default 0.
+    /// Random seed; by default 0.
     pub seed: Option<Seed>,
-    /// The recording's up direction in its own world.
+    /// Up direction in the recording's world.
     pub up: Option<[f64; 3]>,
-    /// Whether to scan although the check finds a fault.
+    /// Whether to scan even if the check finds a fault.
     pub accept_faults: bool,
 }
 
@@ -52,7 +52,7 @@ pub struct ScanOutcome {
     pub gaussians: PathBuf,
 }
 
-/// The settings of a scan, complete and valid.
+/// Complete and valid settings of a scan.
 struct ScanSettings {
     read: ReadOptions,
     frames: FramesRequest,
@@ -65,13 +65,13 @@ impl Run<'_> {
     /// resumed.
     ///
     /// # Errors
-    /// [`Error::Input`] for a bad recording or setting, before an earlier run in this folder is changed; else the error
-    /// of the stage that failed.
+    /// [`Error::Input`] for a bad recording or setting, before an earlier run in this folder changes; otherwise the
+    /// error of the stage that failed.
     pub fn scan(&self, recording: &Path, request: &ScanRequest) -> Result<ScanOutcome, Error> {
         self.scan_observed(recording, request, &mut ())
     }
 
-    /// [`Run::scan`] with an observer of the training.
+    /// Does the same as [`Run::scan`], with an observer of the training.
     ///
     /// # Errors
     /// As [`Run::scan`].
@@ -85,7 +85,7 @@ impl Run<'_> {
         let opened = Recording::open(recording, &settings.read)?;
         let run = RunFolder::create(&self.folder)?;
         let (frames_hash, sequence) = self.frames_stage(&run, &opened, request, &settings)?;
-        // Not before the recording was accepted: a refused one must leave an earlier run as it was.
+        // Written only after the recording was accepted: a refused one must not change an earlier run.
         let recorded = RunSettings {
             recording: std::path::absolute(recording).map_err(unusable(recording))?.display().to_string(),
             seed: request.seed().0,
@@ -112,8 +112,7 @@ impl Run<'_> {
         Ok(ScanOutcome { objects: labels.objects.len(), gaussians })
     }
 
-    /// Collects and checks the settings before anything is written: a refused setting must leave an earlier run as it
-    /// was.
+    /// Collects and checks the settings before any file is written: a refused setting must not change an earlier run.
     fn scan_settings(&self, request: &ScanRequest) -> Result<ScanSettings, Error> {
         let given = &self.context.settings;
         let read = given.section("read", ReadOptions::default())?;
@@ -141,7 +140,7 @@ impl Run<'_> {
         settings: &ScanSettings,
     ) -> Result<(Hash, Sequence), Error> {
         let FramesRequest { load, poses, .. } = &settings.frames;
-        // Without refinement, its settings change nothing.
+        // Without refinement, its settings do not matter.
         let refinement: Option<&PosesConfig> = (poses.mode != PosesMode::Off).then_some(poses);
         let hash = inputs_hash(&[&fingerprint(recording)?], &(&settings.read, load, refinement))?;
         let dir = run_stage(self.context, run, "frames", &hash, |stage, warnings| {
@@ -167,7 +166,7 @@ impl Run<'_> {
             Some(networks) => networks.settings()?,
             None => source.name().to_owned(),
         };
-        // Geometry finds objects, or those that the other sources missed; the truth it leaves alone.
+        // Geometry finds objects, or those that other sources missed; it does not change the ground truth.
         let by_geometry = !matches!(source, MasksSource::Truth);
         let hashed = (kind, by_geometry.then_some(geometry));
         let hash = inputs_hash(&[frames_hash, &mask_names_hash(recording, source)?], &hashed)?;
@@ -205,10 +204,10 @@ impl Run<'_> {
         observer: &mut dyn ScanObserver,
     ) -> Result<(), Error> {
         let &ScanWork { run, request, settings, frames_hash, sequence } = work;
-        // A user may have edited labels.json: objects that were merged there are trained again, other names change nothing.
+        // A user may have edited labels.json: merged objects need a new training, other names do not.
         let regions = regions_hash(labels)?;
         let recorded = RunSettings { regions: Some(regions.0.clone()), ..recorded };
-        // How often checkpoints are written changes nothing.
+        // The checkpoint interval does not affect the result.
         let hashed = ScanConfig { checkpoint_seconds: 0.0, ..settings.scan.clone() };
         let hash = inputs_hash(&[frames_hash, &regions], &(&hashed, request.seed()))?;
         run_stage(self.context, run, "gaussians", &hash, |stage, warnings| {
@@ -227,7 +226,7 @@ impl Run<'_> {
     }
 }
 
-/// A scan whose frames are loaded.
+/// A scan with loaded frames.
 struct ScanWork<'a> {
     run: &'a RunFolder,
     request: &'a ScanRequest,
@@ -241,10 +240,10 @@ fn up_direction(up: [f64; 3]) -> Result<[f64; 3], InputError> {
         return Ok(up);
     }
     let what = format!("{up:?} is not a direction");
-    Err(InputError::new(what, "--up", "give three numbers that are not all zero, such as --up 0,0,1"))
+    Err(InputError::new(what, "--up", "use three numbers that are not all zero, such as --up 0,0,1"))
 }
 
-/// Returns the content hash of everything that the recording's frames consist of.
+/// Returns the content hash of all files of the recording's frames.
 fn fingerprint(recording: &Recording) -> Result<Hash, Error> {
     let mut hasher = Hasher::new();
     let root = std::path::absolute(&recording.root).map_err(unusable(&recording.root))?;
@@ -268,7 +267,7 @@ fn fingerprint(recording: &Recording) -> Result<Hash, Error> {
     Ok(hasher.finish())
 }
 
-/// Returns the content hash of the file that names the objects of masks from files, or of the truth.
+/// Returns the content hash of the file with the object names of masks from files or from the ground truth.
 fn mask_names_hash(recording: &Recording, masks: &MasksSource) -> Result<Hash, Error> {
     let file = match masks {
         MasksSource::Geometry | MasksSource::Networks(_) => None,
@@ -282,7 +281,7 @@ fn mask_names_hash(recording: &Recording, masks: &MasksSource) -> Result<Hash, E
     Ok(hasher.finish())
 }
 
-/// Adds a file, if it can be found: the reader reports a missing image with its cure.
+/// Adds a file if it exists; the reader reports missing images.
 fn hash_file(hasher: &mut Hasher, path: &Path) -> Result<(), Error> {
     hasher.text(&path.display().to_string());
     if path.is_file() {

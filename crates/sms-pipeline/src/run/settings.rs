@@ -1,43 +1,43 @@
-//! Settings of a scan that later commands of the same run need.
+//! Settings of a scan for later commands of the same run.
 
 use crate::Error;
 use serde::{Deserialize, Serialize};
 use sms_core::{Hash, Hasher, InputError, Labels, RunFolder, atomic};
 use std::path::Path;
 
-/// File of the settings that the Gaussians were made with, in their folder: `run.toml` may already hold those of a
-/// scan that was begun later and not finished.
+/// File of the settings of the Gaussians, in their folder: `run.toml` may already contain the settings of a later,
+/// unfinished scan.
 pub(crate) const SETTINGS: &str = "settings.json";
 
-/// The choices of a scan, kept in `run.toml` and beside the Gaussians.
+/// The options of a scan, stored in `run.toml` and beside the Gaussians.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct RunSettings {
     /// Folder of the recording.
     pub recording: String,
-    /// Seed of everything random.
+    /// Random seed.
     pub seed: u64,
     /// Preset of the scan.
     pub preset: String,
     /// Source of the masks.
     pub masks: String,
-    /// Every how many frames one was held out of training (0: none).
+    /// Interval of the held-out frames (0: none).
     #[serde(default)]
     pub holdout: usize,
-    /// Hash of the label maps that the Gaussians were trained with.
+    /// Hash of the label maps of the training.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub regions: Option<String>,
 }
 
 impl RunSettings {
-    /// Reads the settings that the run's Gaussians were made with.
+    /// Reads the settings of the run's Gaussians.
     ///
     /// # Errors
-    /// [`Error::Core`] when there are no Gaussians, [`Error::Input`] when they lack their settings.
+    /// [`Error::Core`] if there are no Gaussians, [`Error::Input`] if their settings are missing.
     pub(crate) fn of(run: &RunFolder) -> Result<Self, Error> {
         let path = run.stage_dir("gaussians", "scan DIR --out")?.join(SETTINGS);
         if !path.exists() {
             let cure = "scan the recording again into this run";
-            return Err(InputError::new("this run does not say how it was scanned", &path, cure).into());
+            return Err(InputError::new("the settings of this scan are missing", &path, cure).into());
         }
         Ok(atomic::read_json(&path)?)
     }
@@ -49,7 +49,7 @@ impl RunSettings {
     }
 }
 
-/// Returns the content hash of the label maps: which pixel belongs to which object, whatever the objects are called.
+/// Returns the content hash of the label maps, independent of the object names.
 pub(crate) fn regions_hash(labels: &Labels) -> Result<Hash, Error> {
     let mut hasher = Hasher::new();
     let ids: Vec<u16> = labels.objects.iter().map(|o| o.id).collect();

@@ -1,4 +1,4 @@
-//! Baselines of the landing planner: a site and an approach chosen among geometric candidates.
+//! Baselines of the landing planner: the choice of a site and an approach from geometric candidates.
 
 use super::LandingProblem;
 use crate::Error;
@@ -21,22 +21,22 @@ use sms_wash::{WashModel, WashSettings};
 /// Time between recorded states, seconds.
 const RECORD_EVERY_S: f64 = 1.0 / 60.0;
 
-/// LandingChooser of a landing.
+/// Chooser of a landing.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum LandingChooser {
     /// The search in simulation.
     #[default]
     Search,
-    /// The centre of the top face, approached straight.
+    /// The centre of the top face with a straight approach.
     Geometric,
-    /// Any of the sites and approaches.
+    /// A random choice of site and approach.
     Random,
-    /// A vision-language model that sees sites and approaches drawn on a frame.
+    /// A vision-language model that chooses from sites and approaches drawn on a frame.
     Visual,
 }
 
 impl LandingChooser {
-    /// Returns the name, as metrics have it.
+    /// Returns the name in metrics.
     pub fn name(self) -> &'static str {
         match self {
             Self::Search => "ours",
@@ -47,27 +47,27 @@ impl LandingChooser {
     }
 }
 
-/// A baseline's choice, in words.
+/// A baseline's choice and its reason.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ChoiceRecord {
-    /// The chooser's name in tables.
+    /// Name of the chooser in tables.
     pub chooser: String,
     /// Number of the site.
     pub site: u32,
     /// Number of the approach.
     pub approach: u32,
-    /// Why this site and this approach.
+    /// Reason for this site and approach.
     pub reasons: [String; 2],
 }
 
-/// A plan by a baseline.
+/// A plan of a baseline.
 #[derive(Debug)]
 pub struct ChosenLanding {
     /// The plan, flown once with particles in the scanned world.
     pub outcome: LandingPlanOutcome,
     /// The choice.
     pub record: ChoiceRecord,
-    /// Pictures of the sites and of the approaches; none where no frame shows them.
+    /// Pictures of the sites and of the approaches; empty if no frame shows them.
     pub pictures: Vec<ColorImage>,
     /// Number of candidate sites and of approaches to each.
     pub candidates: (usize, usize),
@@ -76,7 +76,7 @@ pub struct ChosenLanding {
 /// Chooses a landing by a baseline. `frames` are the recording's; `model` is needed for [`LandingChooser::Visual`].
 ///
 /// # Errors
-/// [`Error::Input`] when there is no site, no frame shows it, or the model gives no answer.
+/// [`Error::Input`] if there is no site, no frame shows it, or the model does not answer.
 pub fn choose_landing(
     landing: &LandingProblem,
     chooser: LandingChooser,
@@ -110,8 +110,8 @@ pub fn choose_landing(
             (prompted.choice, prompted.chosen.into())
         }
         (LandingChooser::Visual, None) => {
-            let cure = "name a server with SMS_VLM_URL, or use another chooser";
-            return Err(InputError::new("there is no vision-language model", "--chooser visual", cure).into());
+            let cure = "set the server with SMS_VLM_URL, or use another chooser";
+            return Err(InputError::new("no vision-language model is set", "--chooser visual", cure).into());
         }
         (LandingChooser::Random, _) => {
             drawn(view, &sites, random(&sites, start_w, &ways, context.seed), landing, &ways)
@@ -132,7 +132,7 @@ pub fn choose_landing(
     Ok(ChosenLanding { outcome, record, pictures, candidates })
 }
 
-/// The plan of an action, flown once with particles in the scanned world.
+/// Plans an action: flies it once with particles in the scanned world.
 fn flown(
     landing: &LandingProblem,
     action: LandingAction,
@@ -173,7 +173,7 @@ pub(crate) fn recording(particles: bool) -> LandingRecording {
     LandingRecording { every_s: RECORD_EVERY_S, particles }
 }
 
-/// Returns the frame that shows the sites best; `None` where none does.
+/// Returns the frame that shows the sites best; `None` if none does.
 pub fn observation(frames: &[Frame], scene: &Scene, sites: &Sites) -> Option<Observation> {
     let frame = &frames[best_view(frames.iter().map(|f| &f.camera), &sites.sites)?];
     let image = picture(&frame.color_path, frame.color.size()).unwrap_or_else(|| frame.color.clone());
@@ -190,7 +190,7 @@ fn not_in_view() -> InputError {
     )
 }
 
-/// The choice with pictures of it.
+/// Returns the choice with its pictures.
 fn drawn(
     view: Option<Observation>,
     sites: &Sites,

@@ -16,8 +16,8 @@ pub struct Entities {
     pub gaussians: Vec<(String, GaussianModel)>,
 }
 
-/// Builds the entities of a scan. `sequence` and `labels` are those trained on ([`trained_only`]); `read` tells how
-/// the recording's full-size images are read for textures.
+/// Builds the entities of a scan. `sequence` and `labels` are those of the training ([`trained_only`]); `read` are the
+/// options for reading the recording's full-size images for textures.
 ///
 /// [`trained_only`]: super::trained_only
 ///
@@ -41,8 +41,8 @@ pub fn entities(
         context.warnings.add(
             "materialize",
             "recorded_colour_missing",
-            format!("{missing} of {} recorded colour images are gone", colors.len()),
-            "put the recording back where it was scanned from; pictures are baked from the smaller frames",
+            format!("{missing} of {} recorded colour images are missing", colors.len()),
+            "restore the recording at its scanned path; textures now use the smaller frames",
         );
     }
     bake_textures(&mut set, sequence, &labels, &colors, &config.texture);

@@ -1,4 +1,4 @@
-//! The reconstruction compared with known models, or with the truth of a generated recording.
+//! Compares the reconstruction with known models, or with the ground truth of a generated recording.
 
 use crate::Error;
 use glamx::{DPose3, DVec3};
@@ -20,15 +20,15 @@ const REACH_M: f64 = 0.1;
 /// A known object in the scene's world.
 #[derive(Debug, Clone)]
 pub struct KnownBody {
-    /// Its name in metrics of models.
+    /// Name in metrics of models.
     pub name: String,
-    /// Its name in messages.
+    /// Name in messages.
     pub description: String,
-    /// The name of its label, where the masks came with the recording.
+    /// Name of its label, if the masks are from the recording.
     label_name: Option<String>,
     cloud: PointCloud,
     mesh: Option<Mesh>,
-    /// Centre and radius, where it is a sphere.
+    /// Centre and radius of a sphere.
     sphere: Option<(DVec3, f64)>,
     reach_m: f64,
 }
@@ -58,13 +58,13 @@ pub struct Comparison {
     pub entity: String,
     /// Distances between the surfaces.
     pub scores: ObjectScores,
-    /// Errors of volume, mass centre and inertia, where both are solids.
+    /// Errors of volume, mass centre and inertia, if both are solids.
     pub solid: Option<SolidScores>,
-    /// Errors of centre and radius in metres, where both are spheres.
+    /// Errors of centre and radius in metres, if both are spheres.
     pub sphere: Option<(f64, f64)>,
 }
 
-/// Names the metrics of a comparison: by the known object, or by the entity.
+/// Naming of the metrics of a comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MetricNames {
     /// Names of the known objects.
@@ -73,15 +73,15 @@ pub enum MetricNames {
     Entity,
 }
 
-/// Reads scanned models with poses. `x_wr` carries the recording's world to the scene's; with `by_label`, an object is
+/// Reads scanned models with poses. `x_wr` maps the recording's world to the scene's. With `by_label`, an object is
 /// matched with the entity of its label before shapes are compared.
 ///
 /// # Errors
-/// [`Error::Input`] when the file is missing or has no model with a pose.
+/// [`Error::Input`] if the file is missing or has no model with a pose.
 pub fn known_models(path: &Path, x_wr: &DPose3, by_label: bool) -> Result<Vec<KnownBody>, Error> {
     if !path.is_file() {
-        let cure = "give the recording's objects.json";
-        return Err(InputError::new("there is no such file", path, cure).into());
+        let cure = "use the recording's objects.json";
+        return Err(InputError::new("this file does not exist", path, cure).into());
     }
     let known = read_known_objects(path)?;
     if known.is_empty() {
@@ -103,7 +103,7 @@ pub fn known_models(path: &Path, x_wr: &DPose3, by_label: bool) -> Result<Vec<Kn
     Ok(known.into_iter().map(carried).collect())
 }
 
-/// Returns the objects of a generated scene, carried by `x_wr`.
+/// Returns the objects of a generated scene, transformed by `x_wr`.
 pub fn known_truth(truth: &TruthScene, x_wr: &DPose3) -> Vec<KnownBody> {
     let carried = |object: &sms_synth::TruthObject| KnownBody {
         name: object.name.clone(),
@@ -139,7 +139,7 @@ pub fn evaluate(
     for (object, entity) in known.iter().zip(pairs(known, &dynamic)) {
         let Some(entity) = entity else {
             let message = format!("`{}` was not reconstructed", object.description);
-            warnings.add("evaluate", "not_found", message, "look at the masks in the report");
+            warnings.add("evaluate", "not_found", message, "check the masks in the report");
             continue;
         };
         let name = if names == MetricNames::Known { &object.name } else { &entity.name };
@@ -164,11 +164,11 @@ pub(crate) fn add_drifts(
     }
 }
 
-/// Returns the entity of each known object, each at most once: the one whose label has the object's name, else by the
-/// distances between the surfaces.
+/// Matches each known object with an entity, each at most once: first by the name of the label, then by the distances
+/// between the surfaces.
 ///
-/// Labels match by name, not by value: masks that came with the recording are renumbered from 1 when they are read, and
-/// labels take the names that `objects.json` gives to the values.
+/// Labels match by name, not by value: masks of the recording are renumbered from 1 when they are read, and labels have
+/// the names of the values in `objects.json`.
 fn pairs<'a>(known: &[KnownBody], dynamic: &[&'a Entity]) -> Vec<Option<&'a Entity>> {
     let plain = |name: &str| -> String {
         name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
@@ -185,7 +185,7 @@ fn pairs<'a>(known: &[KnownBody], dynamic: &[&'a Entity]) -> Vec<Option<&'a Enti
     matched.into_iter().map(|m| m.map(|f| dynamic[f])).collect()
 }
 
-/// Measures one pair; the metrics have `name` in their keys.
+/// Measures one pair; the keys of the metrics contain `name`.
 fn compare(
     name: &str,
     entity: &Entity,
@@ -256,16 +256,16 @@ mod tests {
 
     #[test]
     fn labels_go_by_name_whatever_they_were_numbered() {
-        // In the recording the tray has value 3 and the glue bottle 7; read, they are 1 and 2.
+        // The recording has values 3 (tray) and 7 (glue bottle), which become 1 and 2.
         let (tray, glue) = (entity(1, "tray", 0.05), entity(2, "glue_bottle", 0.0));
         let found = [&tray, &glue];
         let names = |known: &[KnownBody]| -> Vec<Option<String>> {
             pairs(known, &found).into_iter().map(|e| e.map(|e| e.name.clone())).collect()
         };
-        // The bottle's model stands where the tray was reconstructed: its label says what it is nevertheless.
+        // The bottle's model is at the place of the reconstructed tray, but the labels decide.
         let labelled = [known("Glue bottle", 0.05, true), known("tray", 0.0, true)];
         assert_eq!(names(&labelled), [Some("glue_bottle".into()), Some("tray".into())]);
-        // Without labels, the nearest, each once.
+        // Without labels, the nearest entity, each once.
         let unlabelled = [known("a", 0.03, false), known("b", 0.06, false)];
         assert_eq!(names(&unlabelled), [Some("glue_bottle".into()), Some("tray".into())]);
         assert_eq!(names(&[known("far", 1.0, false)]), [None]);

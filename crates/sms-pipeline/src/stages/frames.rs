@@ -10,20 +10,20 @@ use std::time::Instant;
 /// Settings of [`frames`].
 #[derive(Debug, Clone)]
 pub struct FramesRequest {
-    /// How images are loaded.
+    /// Loading of images.
     pub load: LoadSettings,
-    /// How camera poses are refined, if they are.
+    /// Refinement of camera poses.
     pub poses: PosesConfig,
-    /// Whether the recording is used although its check finds a fault.
+    /// Whether to use the recording even if its check finds a fault.
     pub accept_faults: bool,
 }
 
 /// Frames of a recording.
 #[derive(Debug, Clone)]
 pub struct Frames {
-    /// The frames with the poses to use.
+    /// The frames with their final poses.
     pub sequence: Sequence,
-    /// How the poses were refined; `None` where they are the recorded ones.
+    /// Report of the pose refinement; `None` for recorded poses.
     pub poses: Option<PoseReport>,
     /// Metrics `check.*` and `poses.*`.
     pub metrics: Metrics,
@@ -32,7 +32,7 @@ pub struct Frames {
 /// Checks a recording, loads its frames and refines their poses.
 ///
 /// # Errors
-/// [`Error::Input`] naming the fault of the recording; else the error of the step that failed.
+/// [`Error::Input`] that names the fault of the recording; otherwise the error of the step that failed.
 pub fn frames(
     recording: &Recording,
     request: &FramesRequest,
@@ -61,12 +61,12 @@ pub fn refined(sequence: Sequence, config: &PosesConfig, context: StageContext<'
     Ok(Frames { sequence: refined.sequence, poses: Some(refined.report), metrics })
 }
 
-/// Checks the recording: a fault is an error unless it is accepted, other findings become warnings.
+/// Checks the recording: faults are errors unless accepted, other findings become warnings.
 fn checked(recording: &Recording, accept_faults: bool, context: StageContext<'_>) -> Result<Metrics, Error> {
     let report = check(recording, context.progress, context.cancel)?;
     for finding in &report.findings {
         if finding.severity == Severity::Fault && !accept_faults {
-            let cure = format!("{}; or scan as it is with --no-check", finding.cure);
+            let cure = format!("{}; or scan anyway with --no-check", finding.cure);
             return Err(InputError::new(finding.what.clone(), &recording.root, cure).into());
         }
         if finding.severity != Severity::Info {

@@ -6,12 +6,12 @@ use sms_frames::Sequence;
 use sms_gaussians::{ScanConfig, ScanObserver, ScanResult, Trainer, scan_observed};
 use std::path::Path;
 
-/// Where and how Gaussians are trained.
+/// Settings and folder of a training.
 #[derive(Debug, Clone, Copy)]
 pub struct GaussiansRequest<'a> {
     /// Settings of the scan.
     pub config: &'a ScanConfig,
-    /// Folder for the result and the checkpoints; a checkpoint of the same inputs is continued.
+    /// Folder for the result and the checkpoints; a checkpoint of the same inputs is resumed.
     pub work_dir: &'a Path,
 }
 
@@ -36,7 +36,7 @@ pub fn gaussians(
     Ok(result)
 }
 
-/// Returns the frames that were trained on, with their label maps: later stages must not use held-out frames either.
+/// Returns the training frames and their label maps: later stages must not use held-out frames either.
 pub fn trained_only(sequence: Sequence, labels: Labels, holdout: usize) -> (Sequence, Labels) {
     let is_trained = |index: usize| !Sequence::is_held_out(index, holdout);
     let maps = kept(labels.maps, is_trained);

@@ -1,4 +1,4 @@
-//! Scene and task → the plan of a landing, by the search.
+//! Scene and task → the plan of a landing, by search.
 
 use super::drift_text;
 use crate::Error;
@@ -9,14 +9,14 @@ use sms_landing::{
 use sms_scene::Scene;
 use sms_sim::RapierFactory;
 
-/// A landing task resolved in a scene in which the structure can topple.
+/// A landing task resolved in a scene with a movable structure.
 #[derive(Debug, Clone)]
 pub struct LandingProblem {
-    /// The scene, with the bodies of the structure free to move.
+    /// The scene with the bodies of the structure freed.
     pub scene: Scene,
-    /// The task in it.
+    /// The task, resolved in this scene.
     pub task: ResolvedLanding,
-    /// The bodies that were freed, where there are any.
+    /// The freed bodies, if any.
     pub freed: Option<Freed>,
 }
 
@@ -24,7 +24,7 @@ impl LandingProblem {
     /// Frees the structure and resolves the task.
     ///
     /// # Errors
-    /// [`Error::Landing`] when the scene has no place to land or the structure does not stand.
+    /// [`Error::Landing`] if the scene has no landing surface or the structure does not stand.
     pub fn new(
         task: &LandingTask,
         scene: Scene,
@@ -36,7 +36,7 @@ impl LandingProblem {
         Ok(Self { task: task.resolve(&scene)?, scene, freed })
     }
 
-    /// Searches the best landing.
+    /// Searches for the best landing.
     ///
     /// # Errors
     /// As [`plan_landing`].
@@ -48,36 +48,36 @@ impl LandingProblem {
         Ok(plan_landing(&self.task, &self.scene, &RapierFactory, settings, context)?)
     }
 
-    /// Warns about bodies that can move in the plan but not in the scene, and about those that still cannot.
+    /// Warns about bodies that the plan freed, and about those that stay fixed.
     pub(crate) fn warn(&self, warnings: &Warnings) {
         let Some(freed) = &self.freed else { return };
         let others = if freed.other_masses {
-            ", with masses within their intervals, because the structure would fall with the most likely ones"
+            ", with other masses, because the structure would fall with the most likely ones"
         } else {
             ""
         };
         for body in &freed.bodies {
-            let message = format!("`{body}` is fixed in the scene; here it can move, and topple{others}");
-            let cure = "if it is fixed in truth, write `free = false` in the task";
+            let message = format!("`{body}` is fixed in the scene, but can move in this plan{others}");
+            let cure = "if the real one is fixed, write `free = false` in the task";
             warnings.add("plan", "freed", message, cure);
         }
         if let Some(stuck) = &freed.stuck {
-            let cure = "see what it touches in `sms report`: perhaps a body that was not separated from it, or a wrong contact";
+            let cure = "check its contacts in `sms report`: one is wrong, or a body is not separated";
             warnings.add("plan", "held", stuck_text(stuck), cure);
         }
         for drift in &freed.held {
-            let message = format!("{}: it stays fixed, and cannot topple", drift_text(drift));
+            let message = format!("{}: it stays fixed and cannot topple", drift_text(drift));
             let cure = "scan it from more sides, or correct its material (`sms materials`)";
             warnings.add("plan", "held", message, cure);
         }
     }
 }
 
-/// Returns in words which bodies stay fixed, and why.
+/// Describes the bodies that stay fixed, and the reason.
 pub fn stuck_text(stuck: &Stuck) -> String {
     let names = stuck.bodies.iter().map(|b| format!("`{b}`")).collect::<Vec<_>>().join(", ");
     let leaves = drift_text(&stuck.leaves);
     format!(
-        "{names} cannot topple in this plan: fixed, because the structure does not stand otherwise ({leaves})"
+        "{names} cannot topple in this plan: fixed, because otherwise the structure does not stand ({leaves})"
     )
 }

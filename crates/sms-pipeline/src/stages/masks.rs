@@ -9,15 +9,15 @@ use sms_masks::{Completed, GeometryConfig, Segmenter, complete};
 /// Object masks of a sequence.
 #[derive(Debug, Clone)]
 pub struct ObjectMasks {
-    /// The masks and the objects that they show.
+    /// The masks and their objects.
     pub labels: Labels,
-    /// The corrections that geometry made to them.
+    /// Corrections of the masks by geometry.
     pub completed: Completed,
-    /// Pixels of all frames.
+    /// Number of pixels in all frames.
     pub pixels: usize,
 }
 
-/// Segments the frames, then lets geometry correct borders and add missed objects as far as `geometry` asks for it.
+/// Segments the frames. Then geometry corrects borders and adds missed objects, if `geometry` enables it.
 ///
 /// # Errors
 /// As [`Segmenter::segment`].

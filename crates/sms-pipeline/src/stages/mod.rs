@@ -1,4 +1,4 @@
-//! The stages as functions: one typed result from typed inputs, without folders or caches.
+//! The stages as functions from typed inputs to a typed result, without folders or caches.
 
 mod chooser;
 mod entities;

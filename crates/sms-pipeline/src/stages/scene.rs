@@ -8,26 +8,26 @@ use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign};
 use sms_scene::{Scene, build_scene};
 use sms_sim::{RapierFactory, RestLimits, RestingDrift, fix_restless};
 
-/// Inputs of [`scene`] beside the entities.
+/// Inputs of [`scene`] in addition to the entities.
 #[derive(Debug, Clone, Copy)]
 pub struct SceneRequest<'a> {
     /// Name of the scene.
     pub name: &'a str,
-    /// What is known about each entity's material, and last about the floor's.
+    /// Material queries of the entities, followed by the floor.
     pub queries: &'a [ObjectQuery],
     /// Material values of the user.
     pub overrides: Option<&'a Overrides>,
-    /// Carries the recording's world to the scene's.
+    /// Maps the recording's world to the scene's.
     pub x_world_recording: DPose3,
-    /// Whether bodies that do not stay at rest become fixed. Masks from geometry may cut a thing into pieces that do
-    /// not stand alone; masks of people and networks are taken at their word.
+    /// Whether to fix bodies that do not stay at rest. Masks from geometry may cut an object into pieces that do not
+    /// stand alone; other masks are assumed to be correct.
     pub fix_restless: bool,
 }
 
 /// Assigns materials and builds the scene.
 ///
 /// # Errors
-/// [`Error::Build`] for impossible bodies, [`Error::Sim`] when the scene cannot be simulated.
+/// [`Error::Build`] for impossible bodies, [`Error::Sim`] if the scene cannot be simulated.
 pub fn scene(set: &EntitySet, request: &SceneRequest<'_>, context: StageContext<'_>) -> Result<Scene, Error> {
     let SceneRequest { name, queries, overrides, x_world_recording, .. } = *request;
     let mut materials = assign(queries, &MaterialTable::builtin(), overrides, context.warnings)?;
@@ -36,7 +36,7 @@ pub fn scene(set: &EntitySet, request: &SceneRequest<'_>, context: StageContext<
     let mut scene = build_scene(name, &set.entities, &materials, support, x_world_recording)?;
     if request.fix_restless {
         for drift in fix_restless(&RapierFactory, &mut scene, &RestLimits::default())? {
-            let message = format!("{}: it is kept as a fixed collider", drift_text(&drift));
+            let message = format!("{}: it becomes a fixed collider", drift_text(&drift));
             let cure = "correct the masks, or scan it from more sides";
             context.warnings.add("materialize", "kept_fixed", message, cure);
         }
@@ -44,8 +44,8 @@ pub fn scene(set: &EntitySet, request: &SceneRequest<'_>, context: StageContext<
     Ok(scene)
 }
 
-/// Returns in words how far a body moved by itself.
+/// Describes the drift of a body at rest.
 pub fn drift_text(drift: &RestingDrift) -> String {
     let (moved, degrees) = (length_text(drift.moved_m), drift.turned_rad.to_degrees());
-    format!("`{}` moved {moved} and turned {degrees:.1}° when left alone", drift.body)
+    format!("`{}` moved {moved} and turned {degrees:.1}° in a simulation at rest", drift.body)
 }

@@ -20,15 +20,15 @@ impl StrikeProblem {
     /// Resolves a task in a scene.
     ///
     /// # Errors
-    /// [`Error::Task`] when the scene has no such bodies, [`Error::Input`] when the robot cannot be used.
+    /// [`Error::Task`] if the scene does not have the bodies, [`Error::Input`] if the robot cannot be used.
     pub fn new(task: &Task, scene: &Scene, robot: &RobotPlace) -> Result<Self, Error> {
         let task = task.resolve(scene)?;
         let with_robot = task.clone().with_robot(&robot.config, scene)?;
         Ok(Self { task, with_robot, is_default_robot: robot.is_from_recording })
     }
 
-    /// Searches the best strike. Where the robot of a generated recording reaches none, which the user did not ask for,
-    /// a finger of infinite mass strikes instead, and a warning says so.
+    /// Searches for the best strike. If the default robot of a generated recording reaches none, plans with a kinematic
+    /// finger of infinite mass instead and adds a warning.
     ///
     /// # Errors
     /// As [`sms_plan::plan`].
@@ -45,7 +45,7 @@ impl StrikeProblem {
                     "plan",
                     "no_strike_in_reach",
                     e.what,
-                    "this plan is for a finger that gives no way; place the robot with [robot] in the settings",
+                    "this plan is for a kinematic finger; set the robot's pose in [robot] of the settings",
                 );
                 Ok(search(&self.task)?)
             }

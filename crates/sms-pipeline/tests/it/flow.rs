@@ -1,4 +1,4 @@
-//! Scan, materialize, plan and export, with the cache and without.
+//! Scan, materialize, plan and export, with and without the cache.
 
 use sms_core::{Cancel, Seed, StageContext, StageError, Warnings};
 use sms_entities::{EntitiesConfig, material_queries};
@@ -20,7 +20,7 @@ use sms_synth::{BilliardsSettings, RecordingSettings, TruthScene, generate_billi
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-/// Every N-th frame is held out, so that both ways must agree on the frames trained on.
+/// Every N-th frame is held out, so that both ways must agree on the training frames.
 const HOLDOUT: usize = 5;
 
 /// The settings of a short scan and a short search.
@@ -33,7 +33,7 @@ const SHORT: [&str; 6] = [
     "plan.starts=6",
 ];
 
-/// Records whether each stage was computed.
+/// Records for each stage whether it was computed.
 #[derive(Clone, Default)]
 struct Stages(Arc<Mutex<Vec<(String, bool)>>>);
 
@@ -130,7 +130,7 @@ fn the_cache_changes_no_result_and_spares_all_work() {
     let events = Stages::default();
     let (scene, objective) = with_cache(&recording, &folder, events.clone());
     assert_eq!(*events.0.lock().unwrap(), expected(false));
-    assert!(scene.bodies.len() > 2, "floor and two balls");
+    assert!(scene.bodies.len() > 2, "the scene must have a floor and two balls");
 
     let events = Stages::default();
     let again = with_cache(&recording, &folder, events.clone());
