@@ -90,7 +90,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// A trainer that times each kind of call, for the scan's time besides its steps.
+/// A trainer that times each kind of call, to separate the scan's own time from its steps.
 struct Timed {
     trainer: Box<dyn Trainer>,
     times: RefCell<BTreeMap<&'static str, (f64, usize)>>,

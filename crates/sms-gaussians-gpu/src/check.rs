@@ -1,5 +1,5 @@
-//! Self-check: compares the kernels with the CPU's on a small scene before use. Drivers have bugs, and a scan that
-//! is subtly wrong is worse than a slow one.
+//! Self-check: compares the kernels with those of the CPU on a small scene before use. Drivers have bugs, and a subtly
+//! wrong scan is worse than a slow one.
 
 use crate::compare::{ErrorSpread, first_moments, images};
 use crate::gpu::{AdapterChoice, GpuError};
@@ -13,9 +13,9 @@ use sms_gaussians::{CpuTrainer, LearningRates, TrainConfig, Trainer};
 pub struct SelfCheck {
     /// Differences of colours, opacities and normals.
     pub image: ErrorSpread,
-    /// Differences of gradients, as shares of the largest of their group; the worst group.
+    /// Differences of gradients, relative to the largest gradient of their group; the worst group.
     pub gradient: ErrorSpread,
-    /// Difference of the loss after a few steps, as a share of it.
+    /// Relative difference of the loss after a few steps.
     pub loss: f64,
 }
 

@@ -83,7 +83,7 @@ pub(crate) fn first_moments(
     Ok(all)
 }
 
-/// Differences as shares of the largest value of `b`.
+/// Returns the differences relative to the largest value of `b`.
 pub(crate) fn relative(a: &[f64], b: &[f64]) -> ErrorSpread {
     let largest = b.iter().fold(1e-30f64, |m, v| m.max(v.abs()));
     ErrorSpread::of(a.iter().zip(b).map(|(a, b)| (a - b) / largest))

@@ -67,7 +67,7 @@ pub struct AdapterSummary {
     pub software: bool,
 }
 
-/// The one instance of this process: an NVIDIA driver showed no adapters any more after a dozen of them.
+/// The only instance of this process: after a dozen instances, an NVIDIA driver reported no adapters any more.
 fn instance() -> &'static wgpu::Instance {
     static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
     INSTANCE.get_or_init(|| {
@@ -98,7 +98,7 @@ fn summary(index: usize, adapter: &wgpu::Adapter) -> AdapterSummary {
     }
 }
 
-/// The first thing that went wrong on a device, if anything did.
+/// The first failure of a device, if any.
 type Failure = Arc<Mutex<Option<String>>>;
 
 /// An open device.
@@ -107,7 +107,7 @@ pub(crate) struct Gpu {
     pub(crate) queue: wgpu::Queue,
     pub(crate) summary: AdapterSummary,
     pub(crate) limits: wgpu::Limits,
-    /// Nanoseconds of a timestamp's unit, where the device has timestamps.
+    /// Nanoseconds per unit of a timestamp, if the device has timestamps.
     pub(crate) timestamp_ns: Option<f32>,
     failure: Failure,
     /// Reused staging buffer: its pages are mapped once.
@@ -118,7 +118,7 @@ fn note(failure: &Failure, text: String) {
     failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(text);
 }
 
-/// Storage buffers that the kernels bind at once, the one of a frame included.
+/// Largest number of storage buffers that a kernel binds, including the one of a frame.
 const STORAGE_BUFFERS: u32 = 9;
 /// Bytes of workgroup memory that the kernels use at most.
 const WORKGROUP_BYTES: u32 = 32_768;
@@ -254,7 +254,7 @@ impl Gpu {
         Some(seen)
     }
 
-    /// Applies `see` to the first `bytes` of each buffer, a multiple of four each, without copying them: a copy of
+    /// Applies `see` to the first `bytes` (a multiple of four) of each buffer without copying them, because a copy of
     /// the state takes as long as several steps. `None` after a failure.
     pub(crate) fn read_with<T, const N: usize>(
         &self,

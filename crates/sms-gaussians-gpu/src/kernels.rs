@@ -15,7 +15,7 @@ use wgpu::BufferBindingType;
 pub(crate) const MAX_GROUPS: u32 = 65_535;
 /// Gaussians per workgroup of projection, visits and updates.
 pub(crate) const GAUSSIANS: u32 = 128;
-/// Workgroups that visit large splats, and how many of them share one.
+/// Workgroups that visit large splats, and how many of them share one splat.
 pub(crate) const LARGE_GROUPS: [u32; 2] = [256, 4];
 /// Side of the blocks of SSIM and the pixel losses.
 pub(crate) const BLOCK: u32 = 16;
@@ -23,15 +23,15 @@ pub(crate) const BLOCK: u32 = 16;
 pub(crate) const TILE_PIXELS: u32 = 64;
 /// Most workgroups of the segmentation.
 pub(crate) const SEGMENT_GROUPS: u32 = 1024;
-/// Entries of the table of Adam's corrections; both are one beyond it.
+/// Length of the table of Adam's corrections; beyond it, both corrections are one.
 pub(crate) const CORRECTIONS: u32 = 20_001;
 /// Vectors of the flat classifier.
 pub(crate) fn classifier_vectors(classes: usize) -> u32 {
-    // Even, so that the last workgroup of the classifier's update has eight values like the others.
+    // Even, so that the last workgroup of the classifier's update also has eight values.
     sms_gaussians::parameters::classifier_len(classes).div_ceil(8) as u32 * 2
 }
 
-/// Parts of a tile's pixels that the blocks of the classifier's second layer are split into, so that 64 lanes have work.
+/// Number of parts of a tile's pixels for each block of the classifier's second layer, so that 64 lanes have work.
 fn split_of(classes: usize) -> u32 {
     match classes.div_ceil(4) {
         1 => 8,
@@ -142,10 +142,10 @@ fn constants(classes: usize) -> String {
     text
 }
 
-/// Which form of the kernels to compile.
+/// Compiled form of the kernels.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct KernelForm {
-    /// Guard every index and every loop against running off.
+    /// Whether to guard every index and every loop against overruns.
     pub checked: bool,
 }
 
@@ -155,9 +155,9 @@ pub struct KernelForm {
     reason = "guards cost 28 % of a step (segmentation 2.9 times as long): their counters keep loops from being unrolled"
 )]
 fn trusted_module(device: &wgpu::Device, descriptor: wgpu::ShaderModuleDescriptor<'_>) -> wgpu::ShaderModule {
-    // SAFETY: no index comes from data. Kernels index with invocation numbers below the counts in `Step`, which the host
-    // took from the sizes of the buffers bound, and with pairs, slots and lists that kernels wrote within the capacity in
-    // `Step::counts`; loops end at such counts. Tests run the guarded form as well and compare.
+    // SAFETY: no index comes from data. Kernels index with invocation numbers below the counts in `Step`, which the
+    // host derives from the sizes of the bound buffers. They also index with pairs, slots and lists that kernels wrote
+    // within the capacity in `Step::counts`. Loops end at such counts. Tests compare with the guarded form.
     unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
 }
 

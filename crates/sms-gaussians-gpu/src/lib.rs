@@ -1,9 +1,9 @@
 //! GPU back end of the scan: whole training steps in WGSL through `wgpu`.
 //!
-//! [`GpuTrainer`] implements [`sms_gaussians::Trainer`] with the state, settings and semantics of the CPU's: they
-//! differ only in time and rounding, and a checkpoint of one can be continued by the other. Parameters and moments
-//! live on the device; up to 64 steps are submitted at once, and only their losses are read back. The kernels are
-//! in `shaders/`, in the order of a step: `project`, `visit` (twice), `place`, `sort`, `forward`, `ssim`, `loss`,
+//! [`GpuTrainer`] implements [`sms_gaussians::Trainer`] with the state, settings and semantics of the CPU trainer. The
+//! two differ only in time and rounding, and each can continue a checkpoint of the other. Parameters and moments live
+//! on the device; up to 64 steps are submitted at once, and only their losses are read back. The kernels are in
+//! `shaders/`, in the order of a step: `project`, `visit` (twice), `place`, `sort`, `forward`, `ssim`, `loss`,
 //! `segment`, `backward`, `reduce`, `update`, `finish`. Their cost, and rejected variants, are in
 //! `experiments/studies/gpu.md`.
 //!

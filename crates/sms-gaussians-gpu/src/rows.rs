@@ -1,11 +1,11 @@
-//! Layout of a Gaussian's parameters in the kernels: eight vectors of four, so that none straddles two. Position
-//! and logit of the opacity; rotation; logarithms of the scales; colour; affinity.
+//! Layout of a Gaussian's parameters in the kernels: eight vectors of four, so that no group of parameters straddles
+//! two. In order: position and logit of the opacity; rotation; logarithms of the scales; colour; affinity.
 
 use sms_gaussians::parameters::{
     AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION, ROW, Row,
 };
 
-/// Where each parameter of a [`Row`] lies on the device.
+/// Position of each parameter of a [`Row`] on the device.
 const PLACES: [usize; PARAMETERS] = {
     let mut places = [0; PARAMETERS];
     let mut i = 0;
@@ -23,7 +23,7 @@ const PLACES: [usize; PARAMETERS] = {
     places
 };
 
-/// The host's order to the device's.
+/// Converts the host's order to the device's.
 pub(crate) fn to_device(Row(row): &Row) -> [f32; ROW] {
     let mut to = [0.0; ROW];
     for (place, value) in PLACES.into_iter().zip(row) {
@@ -32,7 +32,7 @@ pub(crate) fn to_device(Row(row): &Row) -> [f32; ROW] {
     to
 }
 
-/// The device's order to the host's.
+/// Converts the device's order to the host's.
 pub(crate) fn to_host(row: &[f32; ROW]) -> Row {
     let mut to = [0.0; ROW];
     for (value, place) in to.iter_mut().zip(PLACES) {

@@ -69,7 +69,7 @@ pub(crate) fn of_view<'a>(kernels: &'a Kernels, b: &'a Bindings, step: &Step) ->
     all
 }
 
-/// Records the dispatches of the step with this index in its batch.
+/// Records the dispatches of a step with its index in the batch.
 pub(crate) fn record(
     pass: &mut wgpu::ComputePass<'_>,
     dispatches: &[Dispatch<'_>],

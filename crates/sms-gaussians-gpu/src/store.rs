@@ -69,7 +69,7 @@ impl Store {
         }
     }
 
-    /// Buffers for `capacity` Gaussians beside the present ones: rows, moments, steps.
+    /// Creates additional buffers for `capacity` Gaussians: rows, moments, steps.
     fn fresh(gpu: &Gpu, capacity: usize) -> [wgpu::Buffer; 3] {
         let n = capacity as u64;
         let none = BufferUsages::empty();
@@ -85,7 +85,7 @@ impl Store {
         self.spare.take().unwrap_or_else(|| Self::fresh(gpu, self.capacity))
     }
 
-    /// Puts `count` Gaussians in buffers of [`Store::take_spare`] in the place of the present ones.
+    /// Replaces the present buffers by those of [`Store::take_spare`] with `count` Gaussians.
     pub(crate) fn replace(&mut self, [rows, moments, steps]: [wgpu::Buffer; 3], count: usize) {
         let rows = std::mem::replace(&mut self.rows, rows);
         let moments = std::mem::replace(&mut self.moments, moments);

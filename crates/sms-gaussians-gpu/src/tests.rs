@@ -1,5 +1,5 @@
-//! The GPU's kernels against the CPU's and against the double-precision oracle, on any adapter: Mesa's lavapipe in
-//! continuous integration. Without an adapter the tests print this and pass.
+//! The GPU's kernels compared with the CPU's and with the double-precision oracle, on any adapter (Mesa's lavapipe in
+//! continuous integration). Without an adapter, the tests print a line and pass.
 
 use crate::compare::{ErrorSpread, GROUPS, first_moments, images, relative};
 use crate::probe::{BACKGROUND, CLASSES, camera, fill, frame};
@@ -16,7 +16,8 @@ const COUNT: usize = 150;
 const SEED: Seed = Seed(2);
 const FAST: KernelForm = KernelForm { checked: false };
 
-/// The adapter to test, or `None` with a printed line. `SMS_TEST_ADAPTER` selects another than the first.
+/// Returns the adapter to test, or `None` with a printed line. `SMS_TEST_ADAPTER` selects another adapter than the
+/// first.
 pub(crate) fn adapter() -> Option<AdapterChoice> {
     let index = std::env::var("SMS_TEST_ADAPTER").ok().and_then(|v| v.parse().ok()).unwrap_or(0);
     if index < adapters().len() {
@@ -105,7 +106,7 @@ fn compare_gradients(config: &TrainConfig, form: KernelForm) -> Option<f64> {
     let truth = oracle.gradient(&frame(&camera(SIZE), Seed(4)));
     let state = Parameters::decode(&state).unwrap();
     for (name, first, end) in GROUPS {
-        // The first of Adam's first moments is a tenth of the gradient.
+        // Adam's first moment after one step is a tenth of the gradient.
         let ours: Vec<f64> =
             state.first.iter().flat_map(|r| r.0[first..end].iter().map(|v| 10.0 * f64::from(*v))).collect();
         let truth: Vec<f64> = truth.rows.iter().flat_map(|r| r[first..end].to_vec()).collect();
@@ -341,7 +342,7 @@ fn splats_over_many_tiles_are_listed_whole() {
     else {
         return;
     };
-    // More rows of tiles than a workgroup has lanes, more tiles than all lanes that visit a splat, and more such
+    // More rows of tiles than a workgroup has lanes, more tiles than all lanes that visit a splat, and more large
     // splats than are visited at once.
     let camera = camera((64, 1100));
     let mut seedlings = crate::probe::seedlings(&camera, 300, Seed(8));

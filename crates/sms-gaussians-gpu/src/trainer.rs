@@ -29,11 +29,11 @@ const SPARE_MAPS: usize = 16;
 /// Least capacity in pairs.
 const PAIRS_MIN: u32 = 1 << 14;
 
-/// [`Trainer`] on a GPU: whole training steps on the device, up to 64 per submission, and nothing read back between
-/// them but the losses at the end.
+/// [`Trainer`] on a GPU: whole training steps run on the device, up to 64 per submission. Only the losses are read back
+/// at the end.
 ///
-/// It has the state, the settings and the semantics of [`sms_gaussians::CpuTrainer`]; results differ by rounding.
-/// After a failure of the device (see [`Trainer::failure`]) every call returns quickly with meaningless results.
+/// State, settings and semantics are those of [`sms_gaussians::CpuTrainer`]; results differ by rounding. After a
+/// failure of the device (see [`Trainer::failure`]) every call returns quickly with meaningless results.
 pub struct GpuTrainer {
     gpu: Gpu,
     kernels: Kernels,
@@ -44,10 +44,10 @@ pub struct GpuTrainer {
     targets: Vec<DeviceTarget>,
     /// Bind group of each target, `None` if outdated.
     views: Vec<Option<wgpu::BindGroup>>,
-    /// Replaces the observed view when a view is only rendered.
+    /// Observed view for calls that only render.
     nothing: wgpu::Buffer,
     staging: wgpu::Buffer,
-    /// Capacity in pairs needed by the last batches.
+    /// Number of pairs needed by the last batches.
     pairs_wanted: u32,
     /// Pairs of the last step.
     last_pairs: u32,
@@ -71,7 +71,7 @@ impl GpuTrainer {
         Self::with_form(config, classes, seed, choice, KernelForm::default())
     }
 
-    /// The same with kernels of a given form, for comparison.
+    /// Like [`GpuTrainer::new`], with kernels of a given form, for comparison.
     ///
     /// # Errors
     /// As [`GpuTrainer::new`].
@@ -273,7 +273,7 @@ impl GpuTrainer {
         self.reset_flags();
     }
 
-    /// Clears all but the classifier's steps, which come last.
+    /// Clears everything except the classifier's steps, which come last.
     fn reset_flags(&self) {
         self.gpu.queue.write_buffer(&self.store.control, 0, &[0; 4 * (STEPS_DONE + 1)]);
     }
@@ -288,7 +288,7 @@ impl GpuTrainer {
         let similarity = mean(sums[3], 3 * target.camera.pixels());
         let mut terms = LossTerms {
             color_l1: mean(sums[0], 3 * used.colored),
-            // The CPU computes it even without weight; here it costs two kernels.
+            // The CPU computes this term even without weight; here it would cost two kernels.
             dssim: if step.other_weights[0] != 0.0 { 1.0 - similarity } else { 0.0 },
             depth: mean(sums[1], used.deep),
             normal: mean(sums[2], used.oriented),
@@ -355,7 +355,7 @@ impl GpuTrainer {
         gpu.queue.submit([encoder.finish()]);
     }
 
-    /// Applies `see` to each Gaussian's position and logit of the opacity; to zeros after a failure.
+    /// Applies `see` to the position and the logit of the opacity of each Gaussian; to zeros after a failure.
     fn map_places<T: Send>(&self, see: impl Fn(&[f32; 4]) -> T + Sync) -> Vec<T> {
         let count = self.store.count;
         if count == 0 {
@@ -410,7 +410,7 @@ fn add(sum: &mut LossTerms, terms: &LossTerms) {
     sum.total += terms.total;
 }
 
-/// All terms over a number of steps.
+/// Divides all terms by the number of steps.
 fn averaged(sum: &LossTerms, count: usize) -> LossTerms {
     let share = 1.0 / count.max(1) as f32;
     LossTerms {

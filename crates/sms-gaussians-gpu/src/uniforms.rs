@@ -65,7 +65,7 @@ impl Step {
         }
     }
 
-    /// Adds the part of a training step.
+    /// Adds the values of a training step.
     pub(crate) fn trained(mut self, config: &TrainConfig, pixels: &UsedPixels) -> Self {
         let w = &config.weights;
         let share = |weight: f32, count: usize| weight / count.max(1) as f32;

@@ -1,7 +1,7 @@
-//! Unrolling of loops in the text of kernels: compilers that do not unroll a loop over an array of registers keep
+//! Unrolling of loops in the text of kernels. Some compilers do not unroll a loop over an array of registers and keep
 //! the array in memory, which costs the segmentation more than all its arithmetic.
 //!
-//! `//unroll k CLASSES` … `//end` repeats the lines between for k = 0, 1, …, with `$k` replaced by the number. The
+//! `//unroll k CLASSES` … `//end` repeats the lines in between for k = 0, 1, …, with `$k` replaced by the number. The
 //! count is a number or one of the given names.
 
 /// Expands all unrolled loops of a kernel.

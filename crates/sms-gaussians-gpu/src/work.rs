@@ -1,4 +1,4 @@
-//! Buffers without contents between steps, and the kernels' bindings.
+//! Buffers that hold no data between steps, and the bindings of the kernels.
 
 use crate::gpu::Gpu;
 use crate::kernels::{
@@ -306,7 +306,7 @@ pub(crate) fn bind(gpu: &Gpu, kernel: &ComputeKernel, buffers: &[&wgpu::Buffer])
     })
 }
 
-/// Returns workgroups in two dimensions for `groups` of them, which the kernel counts as x + y·[`MAX_GROUPS`].
+/// Returns the dimensions of a dispatch of `groups` workgroups. The kernel numbers them x + y·[`MAX_GROUPS`].
 pub(crate) fn spread(groups: u32) -> [u32; 2] {
     if groups <= MAX_GROUPS { [groups, 1] } else { [MAX_GROUPS, groups.div_ceil(MAX_GROUPS)] }
 }

@@ -1,7 +1,7 @@
-//! Each kernel of the training step, in every compiled form that this CPU can run, on one thread.
+//! Times each kernel of the training step on one thread, in every compiled form that this CPU can run.
 //!
-//! `cargo bench -p sms-gaussians --bench kernels [-- FILTER]`; a filter is part of a name such as `blend/avx2`. After
-//! Criterion's own output come the ratios to the portable form, measured in the same run.
+//! `cargo bench -p sms-gaussians --bench kernels [-- FILTER]`; a filter is part of a name such as `blend/avx2`. The
+//! ratios to the portable form, measured in the same run, follow Criterion's output.
 
 mod scene;
 

@@ -22,10 +22,10 @@ fn cpu_seconds() -> Option<f64> {
 /// Number of steps per measurement of CPU time.
 const GROUP: usize = 10;
 
-/// The shortest step by the clock, the shortest of each part, and the CPU seconds of a step in the best
+/// Returns the shortest step by the clock, the shortest time of each part, and the CPU seconds per step in the best
 /// group.
 fn measure(mut trainer: CpuTrainer, steps: usize) -> (f64, StepTimes, f64) {
-    // The best of several short runs: other load only ever adds time.
+    // Returns the best of several short runs, because other load only adds time.
     let mut best = (f64::INFINITY, StepTimes::from_parts([f64::INFINITY; StepTimes::PARTS]));
     let (mut least, mut cpu) = (f64::INFINITY, cpu_seconds());
     for step in 0..steps {

@@ -82,17 +82,17 @@ impl Default for LearningRates {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DepthTerm {
-    /// Σ zαT / Σ αT, with the gradient of the quotient: opacities depend on depth only where depths differ.
+    /// Σ zαT / Σ αT, with the gradient of the quotient. Opacities depend on depth only where depths differ.
     ///
-    /// Fitted to one view of a noisy recording (1 mm), 400 steps from discs every second pixel, the rendered depth
-    /// is 0.96 mm off and colour reaches 45.8 dB.
+    /// Fitted to one view of a noisy recording (1 mm), 400 steps from discs every second pixel: the rendered depth is
+    /// off by 0.96 mm, and colour reaches 45.8 dB.
     #[default]
     Normalized,
-    /// The same with the divisor held constant in the gradient. A depth that is too far then lowers the opacities
-    /// and one that is too near raises them without limit: in the fit above the mean opacity falls from 0.97 to
-    /// 0.85 and colour to 26 dB. Kept for comparison.
+    /// Like `Normalized`, but with a constant divisor in the gradient. A depth that is too large then lowers opacities,
+    /// and one that is too small raises them without limit. In the fit above, the mean opacity falls from 0.97 to 0.85
+    /// and colour to 26 dB. Kept for comparison.
     Detached,
-    /// Σ zαT, as in the paper: depth makes up for missing opacity (2.4 mm, 42.6 dB above).
+    /// Σ zαT, as in the paper. Depth then compensates for missing opacity (2.4 mm, 42.6 dB in the fit above).
     Accumulated,
 }
 
@@ -106,8 +106,8 @@ pub struct TrainConfig {
     pub rates: LearningRates,
     /// Form of the depth term.
     pub depth_term: DepthTerm,
-    /// Share of the pixels, 0.01 to 1, in a step's segmentation term, different ones in every step. The estimate of
-    /// the term and its gradients is unbiased, and a step is shorter.
+    /// Share of the pixels (0.01 to 1) in the segmentation term, drawn again in every step. A smaller share makes steps
+    /// shorter; the estimate of the term and its gradients is unbiased.
     pub segmentation_share: f32,
 }
 

@@ -1,9 +1,9 @@
 //! Differentiable 3D Gaussians: model, losses, training schedule, CPU back end, checkpoint and PLY.
 //!
-//! [`scan`] turns posed RGB-D frames with labels into a [`GaussianModel`] (paper, Section "Scan"): frame after frame
-//! is seeded and optimised while earlier frames are replayed. It knows its back end only as a [`Trainer`], which takes
-//! whole training steps; [`CpuTrainer`] is the one here, and [`oracle`] the double-precision truth it is tested
-//! against. [`write_ply`] and [`read_ply`] keep the model as a standard 3D Gaussian Splatting file.
+//! [`scan`] turns posed RGB-D frames with labels into a [`GaussianModel`] (paper, Section "Scan"): each frame is seeded
+//! and optimised in turn while earlier frames are replayed. A back end is a [`Trainer`], which takes whole training
+//! steps. This crate contains [`CpuTrainer`], and [`oracle`], a double-precision reference for its tests. [`write_ply`]
+//! and [`read_ply`] store the model as a standard 3D Gaussian Splatting file.
 //!
 //! ```
 //! use sms_core::{BACKGROUND, Camera, Cancel, Image, Intrinsics, Labels, MaskSource};

@@ -80,8 +80,8 @@ impl GaussianModel {
         }
     }
 
-    /// Transforms the model from the world to the frame `A` by `x_aw`. Colours do not depend on the direction of
-    /// view, so nothing else changes.
+    /// Transforms the model from the world to the frame `A` by `x_aw`. Colours are independent of the viewing direction
+    /// and stay the same.
     pub fn transformed(&self, x_aw: &DPose3) -> Self {
         let rotation = x_aw.rotation.as_quat();
         Self {

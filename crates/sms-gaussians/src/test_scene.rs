@@ -16,7 +16,7 @@ pub(crate) fn camera(width: usize, height: usize) -> Camera {
     Camera::new(intrinsics, DPose3::from_parts(DVec3::new(0.1, -0.05, -1.0), rotation))
 }
 
-/// Gaussians of a few pixels each across the camera's view, some a little outside of it, one behind the camera.
+/// Gaussians of a few pixels each across the camera's view, some just outside it, one behind the camera.
 pub(crate) fn seedlings(camera: &Camera, count: usize, seed: Seed) -> Vec<Seedling> {
     let mut rng = seed.derive("seedlings").rng();
     let k = &camera.intrinsics;

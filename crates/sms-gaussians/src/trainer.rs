@@ -1,6 +1,6 @@
-//! The interface between the schedule and its back ends: a whole training step, not single operations.
+//! The interface between the schedule and its back ends: a whole training step instead of single operations.
 //!
-//! Seeding, schedule, random state and early stopping are above this trait, once for every back end; parameters and
+//! Seeding, schedule, random state and early stopping are above this trait and shared by all back ends. Parameters and
 //! Adam moments are below it, on the device.
 
 use crate::parameters::Parameters;
@@ -41,7 +41,7 @@ pub struct Seedling {
     pub affinity: [f32; AFFINITY_DIM],
 }
 
-/// Each term of the loss (paper, Section "Scan"), unweighted sums already averaged as in the paper.
+/// The terms of the loss (paper, Section "Scan"): unweighted and averaged as in the paper.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct LossTerms {
     /// Mean absolute colour error.
@@ -58,7 +58,7 @@ pub struct LossTerms {
     pub flat: f32,
     /// Cross-entropy, nats.
     pub segmentation: f32,
-    /// The weighted total that was descended.
+    /// The weighted total that was minimized.
     pub total: f32,
 }
 
@@ -71,7 +71,7 @@ pub struct StepStats {
     pub steps: u32,
 }
 
-/// Steps taken together: those with reported losses, then others.
+/// Steps submitted together: first those with reported losses, then the others.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepBatch {
     /// Learning rates of all of them.
@@ -93,10 +93,10 @@ pub struct RenderedMaps {
     pub color: Vec<[f32; 3]>,
     /// Accumulated opacity, 0..1.
     pub alpha: Vec<f32>,
-    /// Depth in metres of the splat at which half of the accumulated opacity is reached (the median); 0 where
-    /// nothing is visible. The mean, which training minimizes, lies between surfaces at silhouettes and behind
-    /// faint splats: on held-out views of noisy billiards scans its mean absolute error was 2.9 and 2.5 mm, on
-    /// objects 4.7 mm; the median's 2.3 and 2.1 mm, on objects 1.6 and 2.2 mm.
+    /// Depth in metres of the splat at which half of the accumulated opacity is reached (the median); 0 where nothing
+    /// is visible. The mean, which training minimizes, lies between surfaces at silhouettes and behind faint splats: on
+    /// held-out views of noisy billiards scans the mean absolute error of the mean was 2.9 and 2.5 mm, on objects 4.7
+    /// mm. The error of the median was 2.3 and 2.1 mm, on objects 1.6 and 2.2 mm.
     pub depth: Vec<f32>,
     /// World normals, not normalised.
     pub normal_w: Vec<[f32; 3]>,
@@ -152,9 +152,9 @@ pub trait Trainer: Send {
     fn retain(&mut self, mask: &[bool]);
     /// Takes one step per entry, in order.
     fn steps(&mut self, frames: &[FrameId]) -> StepStats;
-    /// Calls [`Trainer::set_rates`] and takes all steps of one batch after the other; returns the statistics of
-    /// their own steps. Also adds the frame made by `next`, if any, and returns its id. A device may report a batch
-    /// only once the next one starts, and may take steps while the frame is made and added.
+    /// Calls [`Trainer::set_rates`] and takes all steps of the batches, one batch after the other. Returns the
+    /// statistics of the batches' own steps. Also adds the frame made by `next`, if any, and returns its id. A device
+    /// may report a batch only when the next one starts, and may take steps while the frame is made and added.
     fn batches(
         &mut self,
         batches: &[StepBatch],
@@ -171,9 +171,8 @@ pub trait Trainer: Send {
         let stats = batches.iter().map(take).collect();
         (stats, next().map(|frame| self.add_frame(frame)))
     }
-    /// Sets the constant colour b behind all Gaussians (0 to 1; initially black): a pixel shows Σ c·α·T +
-    /// T_final·b, in training and rendering alike. It is neither learned nor part of the state: callers set it
-    /// first.
+    /// Sets the constant colour b behind all Gaussians (0 to 1; initially black): a pixel shows Σ c·α·T + T_final·b, in
+    /// training and rendering alike. It is neither learned nor part of the state: callers must set it first.
     fn set_background(&mut self, rgb: [f32; 3]);
     /// Replaces the learning rates from the next step on; initially they are those of [`crate::TrainConfig`]. They
     /// are not part of the state.
@@ -188,7 +187,7 @@ pub trait Trainer: Send {
     fn opacities(&self) -> Vec<f32>;
     /// Centres in order.
     fn positions_w(&self) -> Vec<Vec3>;
-    /// Centres and opacities in order, at the cost of one of them on a device.
+    /// Centres and opacities in order; on a device, as fast as one of them.
     fn places(&self) -> (Vec<Vec3>, Vec<f32>) {
         (self.positions_w(), self.opacities())
     }
@@ -203,10 +202,7 @@ pub trait Trainer: Send {
     /// # Errors
     /// [`TrainerError::BadState`].
     fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError>;
-    /// Changes the state. The number of Gaussians and the number of classes must stay.
-    ///
-    /// # Errors
-    /// [`TrainerError::BadState`] if a number becomes non-finite.
+    /// Changes the state. The numbers of Gaussians and of classes must stay the same.
     fn edit(&mut self, change: &mut dyn FnMut(&mut Parameters)) -> Result<(), TrainerError> {
         let mut parameters = Parameters::decode(&self.snapshot())?;
         change(&mut parameters);

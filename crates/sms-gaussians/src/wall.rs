@@ -35,7 +35,7 @@ pub fn fill_wall(trainer: &mut dyn Trainer, (width, height): (usize, usize), cou
     frame
 }
 
-/// Discs facing the camera's side of a bumpy surface, one pixel spacing wide and a little tilted.
+/// Discs on a bumpy surface that faces the camera, one pixel spacing wide and slightly tilted.
 fn discs(camera: &Camera, count: usize, seed: Seed) -> Vec<Seedling> {
     let mut rng = seed.rng();
     let k = &camera.intrinsics;

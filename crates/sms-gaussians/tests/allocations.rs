@@ -13,7 +13,7 @@ struct Counting;
 
 static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: all calls go on to `System` as they came.
+// SAFETY: all calls are forwarded to `System` unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
@@ -38,7 +38,7 @@ static ALLOCATOR: Counting = Counting;
 
 /// A wall of discs before two cameras, with a checkerboard as the observation.
 fn trainer(form: SimdForm, share: f32) -> CpuTrainer {
-    // Nothing moves, so that no list grows from one step to the next.
+    // Gaussians do not move, so that no list grows from one step to the next.
     let rates = LearningRates {
         position: 0.0,
         log_scale: 0.0,
@@ -79,7 +79,7 @@ fn trainer(form: SimdForm, share: f32) -> CpuTrainer {
 
 #[test]
 fn steps_allocate_nothing_after_the_first_ones() {
-    // One thread: between several, rayon's queues allocate a little when work is stolen.
+    // One thread: with several, rayon's queues allocate a little when work is stolen.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     pool.install(|| {
         for &form in SimdForm::available() {

@@ -1,9 +1,9 @@
-//! The trainer that the benches measure.
+//! The trainer for the benches.
 
 use sms_core::Seed;
 use sms_gaussians::{CpuTrainer, SimdForm, TrainConfig, WALL_CLASSES, fill_wall};
 
-/// A trainer of `count` Gaussians with one frame, after three steps; `None` where this CPU cannot run the form.
+/// A trainer of `count` Gaussians with one frame, after three steps; `None` if this CPU cannot run the form.
 pub(crate) fn trainer(
     config: &TrainConfig,
     form: SimdForm,

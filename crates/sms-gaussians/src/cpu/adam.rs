@@ -13,7 +13,7 @@ const EPSILON: f32 = 1e-15;
 /// Moments below these are set to zero before they become subnormal, which would slow every later step.
 const FIRST_MIN: f32 = 1e-30;
 const SECOND_MIN: f32 = 1e-36;
-/// Gradients are cut off here so that their squares stay finite.
+/// Limit of gradients, so that their squares stay finite.
 const GRADIENT_MAX: f32 = 1e12;
 
 /// The learning rate of each entry of a row.
@@ -89,7 +89,7 @@ fn descend<L: Lanes>(
     }
 }
 
-/// Brings a row back to unit rotation and into range; returns false if this is impossible.
+/// Normalizes the rotation of a row and clamps its values; returns false if this is impossible.
 fn constrain(row: &mut Row) -> bool {
     let row = &mut row.0;
     let squared: f32 = row[ROTATION..LOG_SCALE].iter().map(|v| v * v).sum();
@@ -112,7 +112,7 @@ by_simd! {
     )
 }
 
-/// One Adam step of the classifier; none if a gradient is not finite.
+/// Takes one Adam step of the classifier, or none if a gradient is not finite.
 pub(super) fn descend_classifier(state: &mut ClassifierState, gradient: &[f32], rate: f32) {
     if !gradient.iter().all(|g| g.is_finite()) {
         return;

@@ -41,7 +41,7 @@ impl Lanes for Avx2 {
 
     #[inline(always)]
     fn load(from: &Chunk) -> Self {
-        // Not the load intrinsic: with debug assertions on it checks its pointer every time.
+        // Not the load intrinsic, which checks its pointer on every call with debug assertions.
         let [a, b] = unsafe { std::mem::transmute::<Chunk, [__m256; 2]>(*from) };
         Self(a, b)
     }

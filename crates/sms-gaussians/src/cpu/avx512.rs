@@ -39,7 +39,7 @@ impl Lanes for Avx512 {
 
     #[inline(always)]
     fn load(from: &Chunk) -> Self {
-        // Not the load intrinsic: with debug assertions on it checks its pointer every time.
+        // Not the load intrinsic, which checks its pointer on every call with debug assertions.
         Self(unsafe { std::mem::transmute::<Chunk, __m512>(*from) })
     }
 

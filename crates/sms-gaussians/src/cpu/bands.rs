@@ -1,8 +1,8 @@
-//! Bands of tile rows: each has its own splats, lists per patch, and gradient buffer, so that bands run in parallel
-//! without sharing and are added up in a fixed order whatever the number of threads.
+//! Bands of tile rows. Each band has its own splats, lists per patch, and gradient buffer. Bands run in parallel
+//! without sharing data and are added up in a fixed order, independent of the number of threads.
 //!
-//! A band's splats stand in the order of their Gaussians, so that reading Gaussians and adding up gradients runs through
-//! memory in order; only the lists are in order of depth.
+//! The splats of a band are in the order of their Gaussians, so that Gaussians and gradients are accessed sequentially.
+//! Only the lists are in depth order.
 
 use super::lanes::{Lanes, NONE, WIDTH, array, by_simd};
 use super::perceptron;
@@ -40,11 +40,11 @@ impl Span {
     }
 }
 
-/// Where each Gaussian's splat lies in the bands that it touches.
+/// Positions of each Gaussian's splats in the bands that it touches.
 #[derive(Default)]
 pub(super) struct Slots {
     pub(super) spans: Vec<Span>,
-    /// First of each Gaussian's entries in `positions`, and the number of all.
+    /// Index of each Gaussian's first entry in `positions`, and the total number of entries.
     first: Vec<u32>,
     /// Position in the band.
     positions: Vec<u32>,
@@ -53,7 +53,7 @@ pub(super) struct Slots {
 }
 
 impl Slots {
-    /// Gives every Gaussian its places in the bands of its span.
+    /// Assigns every Gaussian its positions in the bands of its span.
     pub(super) fn assign(&mut self, bands: usize) {
         self.members.resize_with(bands, Vec::new);
         self.members.iter_mut().for_each(Vec::clear);
@@ -97,7 +97,7 @@ pub(super) struct BandSums {
 pub(super) struct Band {
     /// Splats that may touch the band, in the order of their Gaussians.
     pub(super) splats: Vec<Splat>,
-    /// Whether each reached a pixel.
+    /// Whether each splat reached a pixel.
     pub(super) reached: Vec<bool>,
     pub(super) gradients: Vec<SplatGradient>,
     pub(super) perceptron: perceptron::PerceptronScratch,
@@ -119,13 +119,13 @@ pub(super) struct Band {
 pub(super) struct Lists {
     /// Start of each list, and the end of the last.
     starts: Vec<u32>,
-    /// Splats in each that reach a pixel, once blended; they stand first.
+    /// Number of splats in each list that reach a pixel, after blending; they come first.
     used: Vec<u32>,
     splats: Vec<u32>,
 }
 
 impl Lists {
-    /// Returns the candidates of a patch, and the counter of those used.
+    /// Returns the candidates of a patch, and the counter of the used ones.
     pub(super) fn candidates(&mut self, patch: usize) -> (&mut [u32], &mut u32) {
         let (first, end) = (self.starts[patch] as usize, self.starts[patch + 1] as usize);
         (&mut self.splats[first..end], &mut self.used[patch])
@@ -217,7 +217,8 @@ fn bin<L: Lanes>(
     let patches = patch_rows * grid.columns;
     starts.truncate(patches);
     starts.push(total);
-    // Ends run from the starts while the lists are filled; afterwards each is the start of the next list.
+    // While the lists are filled, each end grows from the start of its list. Afterwards it is the start of the next
+    // list.
     used.clear();
     used.extend_from_slice(&starts[..patches]);
     splats.clear();
@@ -237,8 +238,9 @@ fn bin<L: Lanes>(
 /// Distance of prefetching, in splats.
 const AHEAD: usize = 8;
 
-/// Tile columns in which the ellipses of two splats meet the pixel centres of each row of patches of the band that
-/// starts at pixel row `y`, `first + 2¹⁶·end`, for the first splat and then for the second; slightly generous.
+/// Returns the tile columns in which the ellipses of two splats meet the pixel centres of each row of patches, as
+/// `first + 2¹⁶·end`, for the first splat and then for the second. The band starts at pixel row `y`. The range is
+/// slightly too large.
 #[inline(always)]
 fn patch_columns<L: Lanes>(two: [Outline; 2], y: f32, columns: f32) -> [u32; WIDTH] {
     let [a, b] = two;
@@ -253,8 +255,8 @@ fn patch_columns<L: Lanes>(two: [Outline; 2], y: f32, columns: f32) -> [u32; WID
     let low = L::load(&FIRST_ROWS) + L::splat(y) - mean_y;
     let high = low + L::splat(PATCH_ROWS as f32 - 1.0);
     let touched = L::both(half_y.ge(low), high.ge(half_y.negated()));
-    // x = slant·dy ± half_row·√(1 − (dy/half_y)²) over the rows [low, high] is extreme at the ellipse's own extreme row,
-    // or at the end of the interval nearest to it.
+    // x = slant·dy ± half_row·√(1 − (dy/half_y)²) over the rows [low, high] is extreme at the extreme row of the
+    // ellipse, or at the nearest end of the interval.
     let (low, high) = (low.max(half_y.negated()), high.min(half_y));
     let rows = [row_of_right.negated().max(low).min(high), row_of_right.max(low).min(high)];
     let widths = array!(2, |i| {
@@ -312,7 +314,7 @@ fn sort(keys: &mut Vec<Key>, spare: &mut Vec<Key>) {
     spare.resize(keys.len(), Key::default());
     for (digit, counts) in counts.iter_mut().enumerate() {
         let byte = |key: &Key| usize::from(key.depth.to_le_bytes()[digit]);
-        // All equal: nothing to do. Usual for the highest byte.
+        // All bytes are equal, as usual for the highest byte: nothing to do.
         if keys.first().is_none_or(|key| counts[byte(key)] as usize == keys.len()) {
             continue;
         }

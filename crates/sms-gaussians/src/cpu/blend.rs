@@ -1,7 +1,7 @@
 //! Alpha blending of depth-ordered splats (Kerbl et al. 2023).
 //!
-//! Each patch runs through its own list in blocks: first the weights α·T of a block's splats, whose chain through the
-//! transmittance is short, then the channels, which stay in registers over the whole block.
+//! Each patch processes its list in blocks. First come the weights α·T of the block's splats, with a short dependency
+//! chain through the transmittance, then the channels, which stay in registers for the whole block.
 
 use super::lanes::{Chunk, Lanes, NONE, by_simd};
 use super::prefetch::prefetch;
@@ -10,7 +10,7 @@ use super::tile::{
     TRANSMITTANCE_MIN, alpha,
 };
 
-/// Splats whose weights are known before channels are added.
+/// Number of splats in a block.
 const BLOCK: usize = 32;
 /// Distance of prefetching, in splats.
 const AHEAD: usize = 8;
@@ -23,8 +23,8 @@ struct BlendBlock {
 }
 
 /// Blends the splats of `list` (indices into `splats`, nearest first) over the background. Compacts `list` to the
-/// splats that reach a pixel, returns their number, and marks them in `reached`. Without `affinity`, these channels
-/// are left zero.
+/// splats that reach a pixel, returns their number, and marks them in `reached`. Without `affinity`, the affinity
+/// channels stay zero.
 #[inline(always)]
 fn blend<L: Lanes>(
     splats: &[Splat],
@@ -59,7 +59,7 @@ fn blend<L: Lanes>(
             let weight = alpha.value.keep(taken) * transmittance;
             transmittance = transmittance - weight;
             depth = weight.mul_add(alpha.depth, depth);
-            // Branchless: whether a splat reaches the patch is hard to predict.
+            // Branchless, since it is hard to predict whether a splat reaches the patch.
             let any = L::any(taken);
             weight.store(&mut block.weight[n]);
             block.splat[n] = position;
@@ -85,7 +85,7 @@ fn blend<L: Lanes>(
         transmittance.mul_add(L::splat(b), L::load(channel)).store(channel);
     }
     depth.store(&mut channels[DEPTH_CHANNEL]);
-    // Pixels outside of the image count as transparent too, but are never read.
+    // Pixels outside the image count as transparent too, but are never read.
     (L::splat(1.0) - transmittance).store(&mut channels[OPACITY_CHANNEL]);
     used
 }

@@ -55,11 +55,11 @@ pub(super) trait Lanes:
     fn gt(self, b: Self) -> Self::Mask;
     /// Where both masks are set.
     fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask;
-    /// The mask whose lanes are the lowest sixteen bits, lane 0 lowest.
+    /// The mask with lane i set where bit i is set.
     fn mask(bits: u16) -> Self::Mask;
     /// Keeps the lanes of a mask and zeroes the others.
     fn keep(self, mask: Self::Mask) -> Self;
-    /// The lanes of `self` where the mask is set, those of `b` elsewhere.
+    /// Returns `self` where the mask is set, and `b` elsewhere.
     fn or_where_not(self, mask: Self::Mask, b: Self) -> Self;
     /// A mask as bits, lane 0 lowest.
     fn bits(mask: Self::Mask) -> u32;
@@ -67,9 +67,9 @@ pub(super) trait Lanes:
     fn sum(self) -> f32;
     /// 2^x for −126 ≤ x ≤ 126, relative error below 4e-7; smaller x give at most 2^−126.
     fn exp2(self) -> Self;
-    /// Of positive normal x: ⌊log₂ x⌋, and x divided by two to that power.
+    /// Returns ⌊log₂ x⌋ of positive normal x, and x divided by two to this power.
     fn exponent_and_mantissa(self) -> (Self, Self);
-    /// `first + 2¹⁶·end` of numbers that are whole and from 0 to 2¹⁵.
+    /// Packs integers from 0 to 2¹⁵ as `first + 2¹⁶·end`.
     fn pack(first: Self, end: Self) -> [u32; WIDTH];
     /// Rounds towards zero numbers of magnitude below 2³¹.
     fn truncate(self) -> Self;
@@ -134,7 +134,7 @@ pub(super) fn exp2_fraction<L: Lanes>(f: L) -> L {
     p.mul_add(f, L::splat(EXP2[0]))
 }
 
-/// Adding this and subtracting it again rounds to a whole number, left in the low mantissa bits in between.
+/// Adding and subtracting this number rounds to an integer. In between, the integer is in the low mantissa bits.
 pub(super) const ROUNDING: f32 = 12_582_912.0;
 
 /// A compiled form of the CPU kernels.
@@ -194,8 +194,8 @@ impl Simd {
     }
 }
 
-/// An array of values by index. Written out, because a closure is compiled for the baseline instructions only, and
-/// lanes that pass through one go through memory and calls.
+/// Builds an array of values by index. A macro, because a closure is compiled only for the baseline instructions: lanes
+/// would pass through memory and calls.
 macro_rules! array {
     (2, |$i:ident| $value:expr) => { array!(@ $i, $value, 0 1) };
     (3, |$i:ident| $value:expr) => { array!(@ $i, $value, 0 1 2) };
@@ -209,7 +209,7 @@ macro_rules! array {
 }
 pub(super) use array;
 
-/// Makes a function that runs a kernel, generic over [`Lanes`], in the form that its first argument names.
+/// Defines a function that runs a kernel, generic over [`Lanes`], in the form given by its first argument.
 macro_rules! by_simd {
     ($(#[$doc:meta])* fn $name:ident = $kernel:ident($($arg:ident: $type:ty),* $(,)?) $(-> $result:ty)?) => {
         $(#[$doc])*

@@ -9,7 +9,7 @@ use super::tile::{
 };
 use crate::DepthTerm;
 
-/// Least opacity that depth is divided by: below it a pixel has little information on depth.
+/// Smallest opacity for the division of depth: below it a pixel has little information on depth.
 pub const DEPTH_OPACITY_MIN: f64 = 0.05;
 
 /// Weight of one pixel's absolute error in the total: the term's weight over the number of pixels.
@@ -30,7 +30,7 @@ pub(super) struct PixelSums {
     pub(super) normal: f64,
 }
 
-/// The gradient of SSIM by a band's colours, and where the band starts.
+/// The gradient of SSIM with respect to the colours of a band, and the band's first row.
 #[derive(Clone, Copy)]
 pub(super) struct BandGradient<'a> {
     pub(super) layout: RowLayout,
@@ -108,8 +108,8 @@ by_simd! {
     ) -> PixelSums
 }
 
-/// Writes a row of tiles' colours where SSIM reads them, from row `row` of the band on; zero where the observed colour
-/// must not be used.
+/// Writes the colours of a row of tiles for SSIM, starting at `row` of the band; zero where the observed colour must
+/// not be used.
 #[inline(always)]
 fn rows_of_colors<L: Lanes>(
     images: &[TileImage],

@@ -51,8 +51,8 @@ const GAUSSIANS: usize = 256;
 
 /// [`Trainer`] on the CPU.
 ///
-/// Only Gaussians that reach a pixel of the step's view are moved: their moments, step counts and regularisers stay
-/// out of steps that cannot see them.
+/// A step updates only Gaussians that reach a pixel of its view. Those out of view keep their parameters, moments and
+/// step counts, and add nothing to the regularisers.
 ///
 /// ```
 /// use sms_core::glamx::{DPose3, Quat, Vec3};
@@ -95,7 +95,7 @@ impl CpuTrainer {
         Self::with_simd(config, classes, seed, Simd::detect())
     }
 
-    /// The same with kernels of a given form, for comparison; `None` if this CPU cannot run it.
+    /// Like [`CpuTrainer::new`], with kernels of a given form, for comparison; `None` if this CPU cannot run it.
     pub fn with_form(config: &TrainConfig, classes: usize, seed: Seed, form: SimdForm) -> Option<Self> {
         Simd::of(form).map(|simd| Self::with_simd(config, classes, seed, simd))
     }
@@ -116,7 +116,7 @@ impl CpuTrainer {
         self.times
     }
 
-    /// Loss terms of a frame; the gradients are left in the engine.
+    /// Returns the loss terms of a frame; the gradients remain in the engine.
     fn differentiate(&mut self, frame: FrameId) -> LossTerms {
         self.engine.differentiate(&self.parameters, &self.targets[frame], &self.config)
     }

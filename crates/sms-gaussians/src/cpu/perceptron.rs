@@ -1,6 +1,6 @@
 //! The classifier on the blended affinities of one tile, cross-entropy, and all gradients (paper, Section "Scan").
 //!
-//! A step may take a random share of the patches only: the estimate of the term and of its gradients is unbiased.
+//! A step may use only a random share of the patches: the estimate of the term and of its gradients is unbiased.
 
 use super::lanes::{Chunk, Lanes, NONE, WIDTH, by_simd};
 use super::tile::{AFFINITY_CHANNEL, PATCHES, PatchGradient, TILE, TileImage, TilePlane};
@@ -20,7 +20,7 @@ pub(super) struct PaddedClassifier {
 const OUTPUTS: usize = 8;
 
 impl PaddedClassifier {
-    /// Takes over the flat array of [`crate::parameters::ClassifierState`].
+    /// Copies the flat array of [`crate::parameters::ClassifierState`].
     pub(super) fn set(&mut self, classes: usize, values: &[f32]) {
         let padded = classes.next_multiple_of(OUTPUTS);
         let (w1, rest) = values.split_at(HIDDEN_DIM * AFFINITY_DIM);
@@ -38,8 +38,8 @@ impl PaddedClassifier {
     }
 }
 
-/// The patches of each tile in a step's segmentation term: systematic sampling, each with the same probability and
-/// each tile with nearly the same number.
+/// Selection of each tile's patches for a step's segmentation term. Systematic sampling: all patches have the same
+/// probability, and all tiles nearly the same number of patches.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct PatchSample {
     share: f32,
@@ -71,7 +71,7 @@ impl PatchSample {
         z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         z = (z ^ z >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
         let z = z ^ z >> 31;
-        // Steps of `share` from a random start; a patch is sampled where its step passes a whole number. The first
+        // Walks in steps of `share` from a random start and samples a patch where a step passes an integer. The first
         // patch of the walk is random as well.
         let start = (z >> 40) as f32 / (1u64 << 24) as f32;
         let first = z as usize % PATCHES;
@@ -184,8 +184,8 @@ fn layer_transposed<L: Lanes, const N: usize, const C: usize>(
     sums
 }
 
-/// `sum[j] += Σ over pixels of d[j] · x(pixel)` for the taken patches, `J` rows at a time, and the same lane by lane for
-/// the biases with x = 1.
+/// Computes `sum[j] += Σ over pixels of d[j] · x(pixel)` for the taken patches, `J` rows at a time. The biases use x =
+/// 1, lane by lane.
 #[inline(always)]
 fn layer_gradient<L: Lanes, const N: usize, const J: usize>(
     patches: u8,
@@ -283,7 +283,7 @@ fn softmax<L: Lanes>(logits: &mut [TilePlane], labels: &[u16; WIDTH], scale: f32
             likelihoods[x] = (logits[usize::from(label)].0[p][x] / sums[x]).max(1e-38);
         }
     }
-    // Eight factors of at least 1e-38 stay within f64.
+    // The product of eight factors of at least 1e-38 is representable in f64.
     let product = |half: &[f32]| half.iter().map(|v| f64::from(*v)).product::<f64>().ln();
     let loss = -product(&likelihoods[..8]) - product(&likelihoods[8..]);
     let factor = L::load(&used) / sum;
@@ -298,8 +298,8 @@ fn softmax<L: Lanes>(logits: &mut [TilePlane], labels: &[u16; WIDTH], scale: f32
     loss
 }
 
-/// Cross-entropy summed over the labelled pixels (nats) of the patches taken; writes their affinity channels of
-/// `gradient` and adds to the classifier's gradient, both times `scale`.
+/// Returns the cross-entropy (nats) summed over the labelled pixels of the sampled patches. Writes the affinity
+/// channels of `gradient` and adds to the classifier's gradient, both times `scale`.
 #[inline(always)]
 fn cross_entropy<L: Lanes>(
     weights: &PaddedClassifier,

@@ -10,7 +10,7 @@ pub(super) const TAPS: usize = 2 * RADIUS + 1;
 /// Zeros left and right of every row: a whole vector, so that rows stay aligned.
 pub(super) const MARGIN: usize = WIDTH;
 
-/// Memory whose first number lies at the start of a cache line.
+/// Memory aligned to a cache line.
 #[derive(Default)]
 pub(super) struct Aligned {
     start: usize,
@@ -57,7 +57,7 @@ impl PaddedPlanes {
         }
     }
 
-    /// The rows of the image, how they are laid out, and the length of a band of `rows` of them.
+    /// Returns the layout of the image's rows, the rows, and the length of a band of `rows` of them.
     pub(super) fn inside_mut(&mut self, rows: usize) -> (RowLayout, &mut [f32], usize) {
         let length = self.layout.row_len();
         let inside = RADIUS * length..(RADIUS + self.rows) * length;
@@ -127,7 +127,7 @@ impl RowLayout {
         (y * self.planes + plane) * self.stride + MARGIN + x
     }
 
-    /// Sixteen pixels from column `x` (a multiple of sixteen) of row `y` of a band.
+    /// Returns sixteen pixels from column `x` (a multiple of sixteen) of row `y` of a band.
     #[inline(always)]
     pub(super) fn chunk_mut(self, band: &mut [f32], y: usize, plane: usize, x: usize) -> &mut Chunk {
         band[self.at(y, plane, x)..].first_chunk_mut().expect("margins are whole chunks")

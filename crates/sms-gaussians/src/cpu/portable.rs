@@ -74,7 +74,7 @@ impl Lanes for Portable {
 
     #[inline(always)]
     fn mul_add(self, b: Self, c: Self) -> Self {
-        // Not `f32::mul_add`: without the instruction that is a library call.
+        // Not `f32::mul_add`, which is a library call without the instruction.
         self * b + c
     }
 

@@ -11,25 +11,26 @@ use std::f32::consts::{LN_2, LOG2_E};
 
 /// Variance in pixels² added to both axes of a splat, so that none falls between pixels (the 2-D low-pass filter).
 ///
-/// Its opacity is lowered by √(det Σ / det(Σ + filter)), so that the filter spreads a splat without adding to it (Yu et
-/// al., Mip-Splatting, CVPR 2024): small discs would bleed over silhouettes otherwise. On four noisy billiards scans
-/// held-out mIoU rose from 0.906–0.925 to 0.961–0.968, PSNR by 0.4 to 1.0 dB, and depth errors fell by 0.3 to 0.5 mm.
+/// The splat's opacity is lowered by √(det Σ / det(Σ + filter)), so that the filter spreads a splat without adding to
+/// it (Yu et al., Mip-Splatting, CVPR 2024). Otherwise small discs would bleed over silhouettes. On four noisy
+/// billiards scans held-out mIoU rose from 0.906–0.925 to 0.961–0.968, PSNR by 0.4 to 1.0 dB, and depth errors fell by
+/// 0.3 to 0.5 mm.
 pub const LOW_PASS: f64 = 0.3;
-/// Share of pixels⁴ added to det Σ, so that it has a gradient for discs seen edge-on.
+/// Constant added to det Σ, pixels⁴, so that it has a gradient for discs seen edge-on.
 pub const AREA_FLOOR: f64 = 1e-6;
-/// Low-pass filter of the slope of a splat's depth, in place of [`LOW_PASS`], pixels²: small, to preserve the slope
-/// of discs of few pixels, and large enough to bound that of discs seen edge-on, by 1/(2√ε) standard deviations a
-/// pixel.
+/// Low-pass filter of the slope of a splat's depth, in place of [`LOW_PASS`], pixels²: small enough to preserve the
+/// slope of discs of few pixels, and large enough to bound the slope of discs seen edge-on, to 1/(2√ε) standard
+/// deviations per pixel.
 ///
-/// On a noisy billiards scan the mean error of depth on surfaces at 53° to 66° to the ray was 2.5 mm with the
-/// centre's depth; 1.19 mm with ε = 0.3 (the low-pass filter's), 0.68 with 0.1, 0.50 with 0.05, 0.39 with 0.02,
-/// 0.35 with 0.01 and 0.31 with 0.003.
+/// On a noisy billiards scan the mean error of depth on surfaces at 53° to 66° to the ray was 2.5 mm with the depth of
+/// the centre. With a slope it was 1.19 mm for ε = 0.3 (the low-pass filter), 0.68 with 0.1, 0.50 with 0.05, 0.39 with
+/// 0.02, 0.35 with 0.01 and 0.31 with 0.003.
 pub const SLOPE_LOW_PASS: f64 = 0.01;
 /// Least depth of visible Gaussians, metres.
 pub const NEAR: f64 = 0.02;
-/// Greatest depth of visible Gaussians, metres: only damaged data is farther, and its depth would overflow sums.
+/// Largest depth of visible Gaussians, metres. Only damaged data is farther, and would overflow sums.
 pub const FAR: f64 = 1e6;
-/// The linearisation uses directions within the image and this share of its size beyond.
+/// The linearisation clamps directions to the image, enlarged by this share of its size.
 pub const MARGIN: f64 = 0.15;
 
 /// A camera in single precision.
@@ -98,17 +99,17 @@ pub(super) struct Linearized<L: Lanes> {
     pub(super) axes_i: [[L; 2]; 3],
     /// 2-D covariance with the low-pass filter: xx, xy, yy.
     pub(super) covariance: [L; 3],
-    /// Determinants of that without the filter, plus [`AREA_FLOOR`], and with it.
+    /// Determinants of the covariance without the filter, plus [`AREA_FLOOR`], and with the filter.
     pub(super) determinants: [L; 2],
     /// Change of depth per pixel, see [`depth_slope`].
     pub(super) depth_slope: [L; 2],
-    /// One for the shortest axis, zero for the others; the first of equals.
+    /// One for the shortest axis (the first of equals), zero for the others.
     pub(super) shortest: [L; 3],
-    /// −1 where that axis must be flipped to face the camera.
+    /// −1 if the shortest axis must be flipped to face the camera, else 1.
     pub(super) facing: L,
     /// The shortest axis in the world, facing the camera.
     pub(super) normal_w: Vectors<L>,
-    /// Where the Gaussian is in front of the camera and finite.
+    /// Lanes with a finite Gaussian in front of the camera.
     pub(super) valid: L::Mask,
 }
 
@@ -207,16 +208,16 @@ pub(super) fn cross<L: Lanes>(u: [L; 2], v: [L; 2]) -> L {
     u[0] * v[1] - u[1] * v[0]
 }
 
-/// det Σ_k u_k u_kᵀ by Cauchy and Binet: as a sum of squares it keeps the digits that xx·yy − xy² would lose.
+/// det Σ_k u_k u_kᵀ by Cauchy and Binet. A sum of squares keeps the digits that xx·yy − xy² would lose.
 #[inline(always)]
 fn crossed<L: Lanes>(axes: &[[L; 2]; 3]) -> L {
     let [a, b, c] = [cross(axes[0], axes[1]), cross(axes[0], axes[2]), cross(axes[1], axes[2])];
     a.mul_add(a, b.mul_add(b, c * c))
 }
 
-/// Returns the change of depth per pixel within a splat, from its axes in the camera and in the image: given the
-/// pixel, depth under the linearised Gaussian has the mean z + slope · (pixel − mean) with slope = Cov(pixel)⁻¹
-/// Cov(pixel, z). For a disc, this describes its plane.
+/// Returns the change of depth per pixel within a splat, from its axes in the camera and in the image: given a pixel,
+/// the mean depth of the linearised Gaussian is z + slope · (pixel − mean), with slope = Cov(pixel)⁻¹ Cov(pixel, z).
+/// For a disc, this is its plane.
 #[inline(always)]
 fn depth_slope<L: Lanes>(axes_c: &[Vectors<L>; 3], axes_i: &[[L; 2]; 3], crossed: L) -> [L; 2] {
     let epsilon = L::splat(SLOPE_LOW_PASS as f32);
@@ -272,7 +273,7 @@ const DEPTH_SLOPE: usize = 14;
 impl Projected {
     pub(super) const UNSEEN: Self = Self(NONE);
 
-    /// The splat of the Gaussian, whose parameters are `row`.
+    /// Returns the splat of the Gaussian with parameters `row`.
     #[inline(always)]
     pub(super) fn splat(&self, Row(row): &Row) -> Splat {
         let p = &self.0;
@@ -301,15 +302,15 @@ impl Projected {
         }
     }
 
-    /// Bits of the depth; depths are positive, so they sort like the numbers.
+    /// Bits of the depth. Depths are positive, so their bits have the same order.
     #[inline(always)]
     pub(super) fn depth_bits(&self) -> u32 {
         self.0[DEPTH].to_bits()
     }
 }
 
-/// Projects `rows` and returns the bands, of `bands`, that each touches: none if it is invisible (behind or at the
-/// camera, outside the image, too faint, or degenerate).
+/// Projects `rows` and returns the bands that each touches. A Gaussian touches none if it is invisible (behind or at
+/// the camera, outside the image, too faint, or degenerate).
 #[inline(always)]
 fn project<L: Lanes>(
     rows: &[Row],
@@ -337,7 +338,8 @@ fn project<L: Lanes>(
         let size = [L::splat(view.width as f32), L::splat(view.height as f32)];
         let right = L::both((mean[0] + half_x).gt(zero), size[0].gt(mean[0] - half_x));
         let below = L::both((mean[1] + half_y).gt(zero), size[1].gt(mean[1] - half_y));
-        // In single precision a splat thousands of pixels across loses its determinant; nothing useful is lost with it.
+        // In single precision, a splat thousands of pixels across loses its determinant. Dropping such splats does no
+        // harm.
         let product = xx * yy;
         let sound = L::both(determinant.gt(product * L::splat(1e-6)), L::splat(f32::MAX).ge(product));
         let seen = L::both(L::both(right, below), L::both(sound, L::both(m.valid, reach.gt(zero))));

@@ -1,6 +1,6 @@
-//! Structural similarity (Wang et al. 2004) with an 11×11 Gaussian window, σ = 1.5, zeros beyond the image as in
-//! Kerbl et al. 2023, and its gradient. Convolutions are separable: down the columns of four rows at a time, so that
-//! each pixel read serves four rows, then along each row. Squares and products are formed on the way.
+//! Structural similarity (Wang et al. 2004) and its gradient. The window is an 11×11 Gaussian with σ = 1.5, with zeros
+//! beyond the image as in Kerbl et al. 2023. Convolutions are separable: first down the columns of four rows at a time,
+//! so that each pixel read serves four rows, then along each row. Squares and products are formed on the way.
 
 use super::lanes::{Chunk, Lanes, WIDTH, by_simd};
 use super::planes::{Aligned, MARGIN, PaddedPlanes, RADIUS, RowLayout, TAPS};
@@ -49,7 +49,7 @@ enum SsimOperand {
     Product,
 }
 
-/// The window down the columns, for [`ROWS`] rows from row `first` on. Rows that reach beyond `planes` read its zeros.
+/// Applies the window down the columns, for [`ROWS`] rows from row `first` on. Rows beyond `planes` are zero.
 #[inline(always)]
 fn down<L: Lanes>(
     image: SsimOperand,
@@ -88,11 +88,11 @@ fn down<L: Lanes>(
     }
 }
 
-/// The window along a row, for the sixteen pixels from column `x` of the image.
+/// Applies the window along a row, for the sixteen pixels from column `x` of the image.
 #[inline(always)]
 fn along<L: Lanes>(row: &[f32], weights: &[f32; TAPS], x: usize) -> L {
     let near = &row[MARGIN + x - RADIUS..][..WIDTH + 2 * RADIUS];
-    // Two chains, since one would wait for itself.
+    // Two dependency chains run in parallel.
     let mut even = L::load(chunk(near, 0)) * L::splat(weights[0]);
     let mut odd = L::load(chunk(near, 1)) * L::splat(weights[1]);
     for j in (2..TAPS - 1).step_by(2) {
@@ -144,7 +144,7 @@ fn similarity<L: Lanes>(
                     let variance = along::<L>(squares, &weights, x) - uxx - uyy;
                     let covariance = along::<L>(products, &weights, x) - uxy;
                     let (a1, a2) = (two.mul_add(uxy, c1), two.mul_add(covariance, c2));
-                    // The sum of variances is never negative; rounding is.
+                    // The sum of variances is never negative, except for rounding.
                     let (b1, b2) = (uxx + uyy + c1, variance.max(L::splat(0.0)) + c2);
                     let (by_b1, by_b2) = (one / b1, one / b2);
                     let inverse = by_b1 * by_b2;

@@ -28,7 +28,7 @@ impl TileGrid {
         (tile % self.columns * TILE, tile / self.columns * TILE)
     }
 
-    /// Index among the lists of a band of a patch of its `tile`-th tile.
+    /// Returns the index of a patch in the lists of its band; `tile` counts within the band.
     pub(super) fn patch(&self, tile: usize, patch: usize) -> usize {
         (tile / self.columns * PATCHES + patch) * self.columns + tile % self.columns
     }
@@ -106,7 +106,7 @@ impl TiledTarget {
                 let tile = &mut tiles[y / TILE * grid.columns + x / TILE];
                 let (row, column) = (y % TILE, x % TILE);
                 let (color, depth, normal) = (frame.color[i], frame.depth[i], frame.normal_w[i]);
-                // Colours far outside 0..1 can only be damage; they would overflow the sums.
+                // Colours far outside 0..1 can only be damaged data, and would overflow the sums.
                 if color.iter().all(|c| c.abs() <= 1e3) {
                     colored += 1;
                     tile.colored[row / PATCH_ROWS] |= 1 << (row % PATCH_ROWS * TILE + column);

@@ -1,4 +1,4 @@
-//! Tests of the whole back end: against the oracle, against its other forms, and with damaged input.
+//! Tests of the whole back end: against the oracle, between compiled forms, and with damaged input.
 
 use super::limits::LOW_PASS;
 use super::*;
@@ -55,7 +55,7 @@ fn one_gaussian_is_seen_where_it_is() {
     let alpha = (0.8 * (x * y / ((x + LOW_PASS) * (y + LOW_PASS))).sqrt()) as f32;
     assert!((maps.alpha[i] - alpha).abs() < 3e-3, "{} {alpha}", maps.alpha[i]);
     let sum: f32 = maps.alpha.iter().sum();
-    // Without the filter the pixels' sum is the integral 2πo√(det Σ); alphas below 1/255 are dropped.
+    // Without the filter, the sum over pixels is the integral 2πo√(det Σ); alphas below 1/255 are dropped.
     let integral = std::f32::consts::TAU * 0.8 * (x * y).sqrt() as f32 * (1.0 - 1.0 / 255.0 / alpha);
     assert!((sum / integral - 1.0).abs() < 0.02, "{sum} {integral}");
     let alpha = maps.alpha[i];
@@ -96,7 +96,7 @@ fn a_slanted_disc_shows_the_depth_of_its_plane() {
     for i in (0..64 * 40).filter(|&i| maps.alpha[i] > 0.3) {
         let ray = camera.unproject_pixel(i % 64, i / 64, 1.0).as_vec3();
         let depth = normal.dot(center) / normal.dot(ray);
-        // The plane is straight in depth, where the true one is straight in inverse depth.
+        // The rendered plane is linear in depth; the true plane is linear in inverse depth.
         let offset = depth - center.z;
         assert!((maps.depth[i] - depth).abs() < 0.0005 + 1.2 * offset * offset, "{} {depth}", maps.depth[i]);
         farthest = farthest.max(offset.abs());
@@ -105,7 +105,7 @@ fn a_slanted_disc_shows_the_depth_of_its_plane() {
     assert!(checked > 10 && farthest > 0.05, "{checked} pixels, {farthest} m");
 }
 
-/// Every channel of the last blended image, as the oracle orders them.
+/// Returns every channel of the last blended image, in the oracle's order.
 fn pixels(trainer: &CpuTrainer) -> Vec<[f64; CHANNELS]> {
     let grid = trainer.engine.grid;
     let mut out = vec![[0.0; CHANNELS]; grid.width * grid.height];
@@ -135,21 +135,22 @@ fn image_equals_the_oracle() {
             differences.flat_map(|(a, b)| std::array::from_fn::<f64, CHANNELS, _>(|c| (a[c] - b[c]).abs()));
         let (p999, max) = spread(errors.collect());
         println!("{simd:?}: image p99.9 {p999:.1e}, largest {max:.1e}");
-        // An alpha that falls on the other side of the cut-off is a jump of up to 1/255 times a feature.
+        // An alpha that rounding moves across the cut-off changes a pixel by up to 1/255 times a feature.
         assert!(p999 < 5e-6 && max < 5e-3, "p99.9 {p999:e}, max {max:e}");
     }
 }
 
-/// The oracle of a trainer's parameters, settings and background.
+/// Builds the oracle for a trainer's parameters, settings and background.
 fn oracle(trainer: &CpuTrainer) -> Oracle {
     let background = trainer.engine.background.map(f64::from);
     Oracle { background, ..Oracle::new(&trainer.parameters, &trainer.config, true) }
 }
 
-/// Largest share of a group's largest derivative by which one of its derivatives may differ from the oracle's.
+/// Tolerance of derivatives relative to the largest derivative of their group.
 const GRADIENT_TOLERANCE: f64 = 1e-4;
 
-/// Compares gradients group by group; each error is a share of the group's largest derivative. Returns the largest.
+/// Compares gradients with the oracle's by group. Returns the largest error, relative to the largest derivative of its
+/// group.
 fn compare_gradients(config: &TrainConfig, background: [f32; 3], simd: Simd) -> f64 {
     let mut worst = 0.0f64;
     let mut trainer = trainer(config, simd);
@@ -159,7 +160,7 @@ fn compare_gradients(config: &TrainConfig, background: [f32; 3], simd: Simd) -> 
     assert_eq!(trainer.engine.seen, expected.seen);
     let pairs = [
         (terms.color_l1, expected.terms.color_l1),
-        // The oracle skips it if its weight is zero.
+        // The oracle skips this term if its weight is zero.
         if config.weights.color * config.weights.ssim > 0.0 {
             (terms.dssim, expected.terms.dssim)
         } else {
@@ -264,7 +265,7 @@ fn equal_depths_leave_opacities_to_the_other_terms() {
         };
         trainer.insert(&[disc(-1), disc(0), disc(1)]);
         let mut observed = frame(camera, Seed(4));
-        // Only where the discs are opaque enough for the divisor to be their opacity.
+        // Only pixels with enough opacity: there the divisor equals the opacity.
         for (i, depth) in observed.depth.iter_mut().enumerate() {
             let (x, y) = (i as i32 % 61, i as i32 / 61);
             *depth = if (x - 30).abs() < 3 && (y - 18).abs() < 3 { 0.9 } else { 0.0 };
@@ -460,7 +461,7 @@ fn gaussians_out_of_view_are_left_alone() {
 #[test]
 fn fifty_steps_lower_every_observed_term() {
     let camera = camera(SIZE.0, SIZE.1);
-    // The observed view is a rendering of other Gaussians, so the optimum is known to be reachable.
+    // The observed view is a rendering of other Gaussians, so the optimum is reachable.
     let mut truth = CpuTrainer::new(&TrainConfig::default(), CLASSES, Seed(2));
     truth.insert(&seedlings(&camera, 400, Seed(31)));
     let maps = truth.render(&camera);

@@ -23,8 +23,8 @@ pub(super) const DEPTH_CHANNEL: usize = AFFINITY_CHANNEL + AFFINITY_DIM;
 pub(super) const OPACITY_CHANNEL: usize = DEPTH_CHANNEL + 1;
 /// Channels of a blended pixel: colour 3, normal 3, affinity 16, depth, opacity.
 pub(super) const CHANNELS: usize = OPACITY_CHANNEL + 1;
-/// Channels whose feature is the same in all pixels of a splat: all but depth and opacity, which come last. Depth is
-/// that of a plane, opacity's feature is one.
+/// Channels with a constant feature over the pixels of a splat: all except depth and opacity, which come last. The
+/// depth feature is that of a plane, the opacity feature is one.
 pub(super) const FLAT: usize = DEPTH_CHANNEL;
 
 /// Least alpha of a splat at a pixel; fainter contributions are skipped.
@@ -80,12 +80,12 @@ impl Splat {
     };
 }
 
-/// First of the columns of [`SplatGradient::geometry`] that hold the moments.
+/// First column of [`SplatGradient::geometry`] with moments.
 pub(super) const MOMENTS: usize = 10;
-/// Column of [`SplatGradient::geometry`] that holds ∂L/∂depth.
+/// Column of [`SplatGradient::geometry`] with ∂L/∂depth.
 pub(super) const DEPTH_COLUMN: usize = 6;
 
-/// Gradient of the loss with respect to a [`Splat`], before it is carried to the Gaussian.
+/// Gradient of the loss with respect to a [`Splat`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct SplatGradient {
@@ -132,7 +132,7 @@ impl PatchGradient {
     pub(super) const ZERO: Self = Self { channels: [NONE; CHANNELS] };
 }
 
-/// Where a patch lies: its first pixel, and how many of its columns and rows are inside the image.
+/// Position of a patch: its first pixel, and the numbers of its columns and rows inside the image.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PatchPlace {
     pub(super) x: f32,

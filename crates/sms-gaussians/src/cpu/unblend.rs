@@ -1,10 +1,10 @@
-//! The gradient of blending, replayed front to back with two numbers per pixel (design, section 6): with
-//! s_k = F_k·∂L/∂out, transmittance T and remainder rem = Σ_{j≥k} w_j s_j, ∂L/∂α_k = T s_k − rem_{>k}/(1 − α_k).
-//! The background acts as a last, opaque splat: its share T_final·b is part of the output, hence of the remainder, and
-//! is never taken from it.
+//! The gradient of blending, replayed front to back with two numbers per pixel (design, section 6): with s_k =
+//! F_k·∂L/∂out, transmittance T and remainder rem = Σ_{j≥k} w_j s_j, ∂L/∂α_k = T s_k − rem_{>k}/(1 − α_k). The
+//! background acts as a last, opaque splat. Its share T_final·b is part of the output, and so of every remainder.
 //!
-//! Sums over the pixels of a patch are products of matrices: the splats' weights w by the gradients of a pixel's
-//! channels, and v = ∂L/∂(ln α) by the powers of its coordinates, whose sums are then moved to the splat's centre.
+//! Sums over the pixels of a patch are matrix products: the weights w of the splats times the gradients of a pixel's
+//! channels, and v = ∂L/∂(ln α) times the powers of its coordinates. The resulting moments are then moved to the centre
+//! of the splat.
 
 use super::lanes::{Chunk, Lanes, NONE, WIDTH, by_simd};
 use super::prefetch::prefetch;
@@ -22,7 +22,7 @@ const BLOCK: usize = 16;
 struct UnblendBlock {
     /// α·T.
     weight: [Chunk; BLOCK],
-    /// The same, zero where alpha was cut off.
+    /// α·T, zero where alpha was cut off.
     free_weight: [Chunk; BLOCK],
     /// α/(1 − α), zero where alpha was cut off.
     ratio: [Chunk; BLOCK],
@@ -42,15 +42,15 @@ const EMPTY: UnblendBlock = UnblendBlock {
     splat: [0; BLOCK],
 };
 
-/// The factors of one pixel: its first row as [`SplatGradient::geometry`], then affinity.
+/// Factors of one pixel: first the row of [`SplatGradient::geometry`], then affinity.
 #[repr(C, align(64))]
 struct PixelFactors {
     geometry: [Chunk; WIDTH],
     affinity: [Chunk; WIDTH],
 }
 
-/// Adds the patch's share to the gradients of its splats. `list` must hold the splats that reach a pixel, `gradient`
-/// ∂L/∂(channels) of the blended `image`; without `affinity` its affinity channels are taken as zero.
+/// Adds the gradients of a patch to those of its splats. `list` must hold the splats that reach a pixel, and `gradient`
+/// ∂L/∂(channels) of the blended `image`. Without `affinity`, the affinity channels of `gradient` count as zero.
 #[inline(always)]
 fn unblend<L: Lanes>(
     splats: &[Splat],
@@ -95,7 +95,7 @@ fn unblend<L: Lanes>(
     }
 }
 
-/// Channels in s beside depth and opacity, with and without affinity.
+/// Number of channels in s besides depth and opacity, with and without affinity.
 const FULL: usize = DEPTH_CHANNEL;
 const SHORT: usize = AFFINITY_CHANNEL;
 
@@ -175,7 +175,7 @@ fn weights<L: Lanes>(
     }
 }
 
-/// Second pass: s of `GROUP` splats at a time, then v, which takes them in order.
+/// Second pass: computes s of `GROUP` splats at a time, then v in the order of the splats.
 #[inline(always)]
 fn slopes<L: Lanes, const GROUP: usize, const COUNT: usize>(
     splats: &[Splat],

@@ -72,9 +72,9 @@ fn unproject<L: Lanes>(
     [f64::from(sums[0].sum()), f64::from(sums[1].sum())]
 }
 
-/// Carries the gradients of splats to the first parameters of their Gaussians. The slope of depth is held constant:
-/// rotating and stretching discs by noisy depth lowered the held-out PSNR by 0.15 dB and did not lower the depth
-/// error.
+/// Converts the gradients of splats to those of the first parameters of their Gaussians. The slope of depth is held
+/// constant: with its gradient, noisy depth rotated and stretched discs, which lowered the held-out PSNR by 0.15 dB and
+/// did not lower the depth error.
 #[inline(always)]
 fn carry<L: Lanes>(m: &Linearized<L>, g: &[L; WIDTH], view: &CameraView) -> [L; WIDTH] {
     let mut out = [L::splat(0.0); WIDTH];
@@ -85,7 +85,7 @@ fn carry<L: Lanes>(m: &Linearized<L>, g: &[L; WIDTH], view: &CameraView) -> [L; 
 
     // ln α = −½ dᵀQd + … with d = pixel − mean: ∂L/∂mean = Q Σv·d and ∂L/∂Σ = ½ Q (Σv·ddᵀ) Q.
     let [a, b, c] = conic(m.covariance);
-    // Depth at a pixel is z + slope·d, hence the last part: a disc may slide along its plane.
+    // Depth at a pixel is z + slope·d, so the mean has a gradient from depth: a disc may slide along its plane.
     let d_depth = g[DEPTH_COLUMN];
     let d_mean = [
         m.depth_slope[0].neg_mul_add(d_depth, a * vx + b * vy),
@@ -93,7 +93,7 @@ fn carry<L: Lanes>(m: &Linearized<L>, g: &[L; WIDTH], view: &CameraView) -> [L; 
     ];
     let (h00, h01) = (a * vxx + b * vxy, a * vxy + b * vyy);
     let (h10, h11) = (b * vxx + c * vxy, b * vxy + c * vyy);
-    // Twice ∂L/∂Σ; its last parts are those of the determinant whose root divides α.
+    // Twice ∂L/∂Σ. The last terms come from the determinant whose root divides α.
     let d_cov = [
         v.neg_mul_add(a, h00 * a + h01 * b),
         v.neg_mul_add(b, h00 * b + h01 * c),
@@ -172,7 +172,8 @@ fn rotation_gradient<L: Lanes>([x, y, z, w]: [L; 4], d: &[Vectors<L>; 3]) -> [L;
 
 /// Adds the gradients of the isotropic and flatness terms, and returns their values in metres.
 ///
-/// With the flatness term on, the isotropic term acts on the two larger scales only: the two would fight otherwise.
+/// With the flatness term, the isotropic term acts only on the two larger scales; otherwise the two terms would
+/// conflict.
 #[inline(always)]
 fn regularize<L: Lanes>(
     m: &Linearized<L>,

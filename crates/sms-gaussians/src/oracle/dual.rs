@@ -1,4 +1,4 @@
-//! Forward-mode derivatives: a number with its derivatives by ten inputs.
+//! Forward-mode derivatives: a number with its derivatives with respect to ten inputs.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -23,7 +23,7 @@ impl Dual {
         dual
     }
 
-    /// `f(self)` where `f` has this value and slope here.
+    /// Returns `f(self)`, given the value and the slope of `f` at `self`.
     fn through(self, value: f64, slope: f64) -> Self {
         Self { value, derivative: self.derivative.map(|d| d * slope) }
     }
@@ -36,7 +36,7 @@ impl Dual {
         self.through(self.value.sqrt(), 0.5 / self.value.sqrt())
     }
 
-    /// Within limits; constant beyond them.
+    /// Clamps the value; the derivative is zero beyond the limits.
     pub(super) fn clamp(self, low: f64, high: f64) -> Self {
         if self.value < low || self.value > high { Self::constant(self.value.clamp(low, high)) } else { self }
     }

@@ -1,4 +1,4 @@
-//! The paper's losses of a rendered image and their gradient by the image and by the classifier, in double precision.
+//! The paper's losses of a rendered image and their gradient with respect to image and classifier, in double precision.
 
 use crate::cpu::limits::{DEPTH_OPACITY_MIN, SSIM_C1, SSIM_C2, SSIM_RADIUS};
 use crate::{AFFINITY_DIM, DepthTerm, HIDDEN_DIM, LossWeights, TrainConfig, TrainFrame};
@@ -184,7 +184,8 @@ fn similarity(
     mean
 }
 
-/// Cross-entropy of one pixel (nats) and `scale` times its gradient by the affinity; adds that by the classifier.
+/// Returns the cross-entropy of one pixel (nats) and `scale` times its gradient with respect to the affinity. Adds the
+/// gradient with respect to the classifier.
 fn cross_entropy(
     affinity: &[f64; AFFINITY_DIM],
     label: usize,

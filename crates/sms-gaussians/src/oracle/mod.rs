@@ -1,5 +1,5 @@
-//! A scalar double-precision renderer with the whole loss and the gradient of every parameter, written for clarity:
-//! every back end is tested against it, and it against finite differences.
+//! A scalar double-precision renderer with the whole loss and the gradient of every parameter, written for clarity.
+//! Tests compare every back end with this oracle, and the oracle with finite differences.
 
 mod dual;
 mod loss;
@@ -25,11 +25,11 @@ pub struct Oracle {
     pub background: [f64; 3],
     /// Settings of the step.
     pub config: TrainConfig,
-    /// Whether faint alphas are dropped, strong ones limited and finished pixels skipped, as the back ends do;
-    /// without it the loss is continuous.
+    /// Whether to drop faint alphas, limit strong ones and skip finished pixels, like the back ends; without these
+    /// cut-offs the loss is continuous.
     pub cutoffs: bool,
-    /// Changes of depth per pixel to use instead of the Gaussians' own: for finite differences, because the
-    /// gradient holds them constant.
+    /// Changes of depth per pixel in place of the Gaussians' own: for finite differences, because the gradient holds
+    /// them constant.
     pub depth_slopes: Option<Vec<[f64; 2]>>,
 }
 

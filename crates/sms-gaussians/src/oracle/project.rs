@@ -1,4 +1,4 @@
-//! EWA projection with its derivatives by forward mode.
+//! EWA projection with forward-mode derivatives.
 
 use super::dual::{Dual, INPUTS};
 use crate::cpu::limits::{AREA_FLOOR, FAR, LOW_PASS, MARGIN, NEAR, SLOPE_LOW_PASS};
@@ -88,7 +88,7 @@ pub(super) fn project(row: &[f64; PARAMETERS], camera: &Camera) -> Option<Projec
     let eye = camera.center_w();
     let away = (0..3).map(|i| normal[i].value * (position[i].value - eye[i])).sum::<f64>() > 0.0;
     let normal = normal.map(|n| if away { -n } else { n });
-    // Depth given the pixel: Cov(pixel)⁻¹ Cov(pixel, z), with a low-pass filter of its own.
+    // Mean depth at a pixel: Cov(pixel)⁻¹ Cov(pixel, z), with a separate low-pass filter.
     let [sxx, syy] = [xx, yy].map(|v| v.value - LOW_PASS + SLOPE_LOW_PASS);
     let [kx, ky] = [0, 1].map(|i| dot(image_axes[i], camera_axes[2]).value);
     let covariance = xy;
@@ -115,7 +115,7 @@ impl Projection {
         self.outputs[output].value
     }
 
-    /// Carries ∂L/∂outputs to the inputs.
+    /// Converts ∂L/∂outputs to ∂L/∂inputs.
     pub(super) fn gradient(&self, d_outputs: &[f64; OUTPUTS]) -> [f64; INPUTS] {
         std::array::from_fn(|i| {
             self.outputs.iter().zip(d_outputs).map(|(output, d)| output.derivative[i] * d).sum()

@@ -16,8 +16,8 @@ const NONE: LossWeights = LossWeights {
     segmentation: 0.0,
 };
 
-/// Largest difference between analytic and central-difference derivative of each parameter group, and the group's
-/// largest derivative: their ratio is the relative error.
+/// Returns the largest difference between analytic and central-difference derivatives of each parameter group, and the
+/// group's largest derivative: their ratio is the relative error.
 fn worst(
     weights: LossWeights,
     depth_term: DepthTerm,
@@ -32,7 +32,7 @@ fn worst(
     let oracle = Oracle { background, ..Oracle::new(&parameters, &config, false) };
     let gradient = oracle.gradient(&frame);
     let oracle = Oracle { depth_slopes: Some(oracle.own_depth_slopes(&camera)), ..oracle };
-    // Only the form with the divisor held differs from the plain derivative.
+    // Only the form with a constant divisor differs from the plain derivative.
     let divisors = oracle.depth_divisors(&camera);
     let held = (depth_term == DepthTerm::Detached).then_some(&divisors[..]);
     let total = |oracle: &Oracle| oracle.terms(&frame, held).total(&config.weights);
@@ -111,7 +111,7 @@ fn colors_before_a_background() {
         let weights = LossWeights { color: 1.0, ssim, ..NONE };
         check_before(background, weights, DepthTerm::Normalized, &moving);
     }
-    // Only colours see it.
+    // Only colours depend on the background.
     check_before(background, LossWeights { normal: 1.0, ..NONE }, DepthTerm::Normalized, &SHAPE);
 }
 

@@ -1,16 +1,16 @@
-//! The colour behind all Gaussians: the colour of the sky or a far backdrop, where no depth is measured and
-//! therefore no Gaussian is seeded.
+//! The colour behind all Gaussians: that of the sky or a distant backdrop, where no depth is measured and so no
+//! Gaussian is seeded.
 
 use rayon::prelude::*;
 use sms_frames::Frame;
 
-/// Pixels this near to measured depth (in rows or columns) may be dropouts at the edge of an object.
+/// Pixels within this distance of measured depth (in rows or columns) may be dropouts at the edge of an object.
 const CLEARANCE_PX: usize = 5;
-/// Least share of the pixels that counts as a backdrop.
+/// Smallest share of the pixels that counts as a backdrop.
 const LEAST_SHARE: f64 = 0.01;
 
 /// Returns the mean colour (0 to 1) of the pixels without measured depth within [`CLEARANCE_PX`], over all frames;
-/// black if they are too few. The mean is the constant of least squared error.
+/// black if there are too few. The mean minimizes the squared error.
 pub(crate) fn background_color(frames: &[&Frame]) -> [f32; 3] {
     let each: Vec<([u64; 3], u64, u64)> = frames.par_iter().map(|frame| sum_of_frame(frame)).collect();
     let (mut sum, mut count, mut pixels) = ([0u64; 3], 0u64, 0u64);
@@ -45,9 +45,10 @@ fn sum_of_frame(frame: &Frame) -> ([u64; 3], u64, u64) {
     (sum, count, near.len() as u64)
 }
 
-/// Marks the places of a line (its first index, step and length) with a set place of `from` within the clearance.
+/// Marks the places of a line within the clearance of a set place of `from`. The line is given by its first index, step
+/// and length.
 fn spread(from: &[bool], to: &mut [bool], first: usize, step: usize, length: usize) {
-    // One past the last place reached by a set one, forwards and then backwards.
+    // End of the reach of the last set place, forwards and then backwards.
     let mut reach = 0;
     for k in 0..length {
         if from[first + k * step] {
@@ -87,14 +88,14 @@ mod tests {
         let (mut a, b) = (frame(30, [51, 102, 204]), frame(30, [51, 102, 0]));
         assert_eq!(background_color(&[&a]), [0.2, 0.4, 0.8]);
         assert_eq!(background_color(&[&a, &b]), [0.2, 0.4, 0.4]);
-        // Dropouts on an object, and pixels near an edge, are not counted: neither rows 25 to 29 nor a hole.
+        // Dropouts on an object and pixels near an edge do not count: neither rows 25 to 29 nor a hole.
         for (x, y) in (40..50).flat_map(|x| (60..70).map(move |y| (x, y))) {
             a.depth[(x, y)] = 0.0;
             a.color[(x, y)] = [255, 0, 0];
         }
         a.color.data[25 * SMALL.width..30 * SMALL.width].fill([0; 3]);
         assert_eq!(background_color(&[&a]), [0.2, 0.4, 0.8]);
-        // Row 24 is clear by just enough.
+        // Row 24 is just far enough from depth.
         a.color.data[24 * SMALL.width..25 * SMALL.width].fill([0; 3]);
         assert!(background_color(&[&a])[0] < 0.2);
     }
@@ -119,7 +120,7 @@ mod tests {
         let (none, five, seven) = (frame(0, [200; 3]), frame(5, [200; 3]), frame(7, [200; 3]));
         assert_eq!(background_color(&[&none]), [0.0; 3]);
         assert_eq!(background_color(&[&five]), [0.0; 3]);
-        // Two rows of a hundred; then less than one in a hundred of all frames.
+        // Two rows of a hundred; then less than one percent of all frames.
         assert_eq!(background_color(&[&seven]), [200.0 / 255.0; 3]);
         assert_eq!(background_color(&[&seven, &none, &none]), [0.0; 3]);
         assert_eq!(background_color(&[]), [0.0; 3]);

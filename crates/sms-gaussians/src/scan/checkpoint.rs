@@ -1,6 +1,6 @@
-//! The checkpoint: the position in the schedule and the trainer's whole state, with a checksum.
+//! The checkpoint: the position in the schedule and the whole state of the trainer, with a checksum.
 //!
-//! All randomness is derived from the seed and the position in the schedule, so the position is the random state.
+//! All randomness derives from the seed and the position in the schedule, so the checkpoint needs no random state.
 
 use super::losses::LossSample;
 use crate::TrainState;
@@ -15,8 +15,8 @@ const CHECKSUM: usize = 32;
 /// Position in the schedule.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct SchedulePosition {
-    /// Position in the list of trained frames; its length denotes the refinement over all of them, one more the
-    /// end.
+    /// Index in the list of trained frames. The length of the list means the refinement over all frames, and one more
+    /// means the end.
     pub(crate) slot: usize,
     /// Steps taken in this slot.
     pub(crate) step: usize,
@@ -38,11 +38,11 @@ struct Header {
     place: SchedulePosition,
 }
 
-/// The checkpoint in the work folder.
+/// Result of looking for a checkpoint in the work folder.
 pub(crate) enum FoundCheckpoint {
-    /// None, or one of other settings or data.
+    /// There is none, or it belongs to other settings or data.
     Nothing,
-    /// Not a whole checkpoint, with the reason.
+    /// The checkpoint is incomplete, with the reason.
     Damaged(String),
     /// A checkpoint to resume from.
     Resume(SchedulePosition, TrainState),

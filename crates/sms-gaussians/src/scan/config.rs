@@ -56,15 +56,15 @@ impl std::str::FromStr for Preset {
 pub struct SeedingConfig {
     /// Distance between neighbouring Gaussians in pixels of the frame that seeds them.
     pub spacing_px: f64,
-    /// The same on edges of colour or depth, as a share of `spacing_px`.
+    /// Distance on edges of colour or depth, as a share of `spacing_px`.
     pub edge_spacing: f64,
-    /// Change of brightness (0..1, Sobel, per pixel) from which a pixel counts as an edge.
+    /// Change of brightness (0..1, Sobel, per pixel) above which a pixel counts as an edge.
     pub edge_threshold: f32,
-    /// Later frames seed where the accumulated opacity is below this …
+    /// Later frames seed where the accumulated opacity is below this.
     pub alpha_below: f32,
-    /// … or where the rendered depth is behind the measured one by more than this (metres) …
+    /// Later frames also seed where the rendered depth is behind the measured depth by more than this, metres.
     pub min_tolerance_m: f64,
-    /// … and by more than this number of standard deviations of the depth noise.
+    /// The difference must also exceed this number of standard deviations of the depth noise.
     pub tolerance_sigmas: f64,
     /// No Gaussian is seeded within this radius (metres) of another one, nor within the spacing.
     pub radius_m: f64,
@@ -118,7 +118,7 @@ impl Default for PruningConfig {
 pub struct StopConfig {
     /// Whether frames stop early.
     pub enabled: bool,
-    /// Number of batches in each of two consecutive windows whose mean losses are compared.
+    /// Number of batches in each of the two consecutive windows for comparing mean losses.
     pub window: usize,
     /// A frame is done when its loss falls by less than this share from one window to the next.
     pub min_gain: f32,
@@ -134,17 +134,17 @@ impl Default for StopConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ScanConfig {
-    /// Most steps on the first frame.
+    /// Largest number of steps on the first frame.
     pub steps_first: usize,
-    /// Most steps on each later frame.
+    /// Largest number of steps on each later frame.
     pub steps_frame: usize,
-    /// Most steps over all frames together at the end.
+    /// Largest number of steps over all frames together at the end.
     pub final_steps: usize,
-    /// Share to which learning rates fall exponentially over these last steps.
+    /// Share to which learning rates fall exponentially over the final steps.
     pub final_decay: f32,
     /// Steps between checks of the clock, the losses and cancellation.
     pub batch_steps: usize,
-    /// Share of a frame's steps taken on the frame itself; the rest replays earlier ones.
+    /// Share of a frame's steps on the frame itself; the rest replays earlier frames.
     pub current_share: f64,
     /// Seeding.
     pub seeding: SeedingConfig,
@@ -162,8 +162,8 @@ pub struct ScanConfig {
     pub max_gaussians: usize,
     /// Every `holdout`-th frame is excluded from training and seeding and used to measure quality; 0 for none.
     pub holdout: usize,
-    /// Seconds between checkpoints within a frame. There is also one after each frame, unless the last is more
-    /// recent than a second or a fifth of this, and one at the end.
+    /// Seconds between checkpoints within a frame. There is also one at the end, and one after each frame unless the
+    /// last checkpoint is recent (a second, or a fifth of this setting).
     pub checkpoint_seconds: f64,
     /// Losses and learning rates.
     pub train: TrainConfig,
@@ -192,8 +192,8 @@ impl Default for ScanConfig {
     }
 }
 
-/// Losses and rates of the scan. Positions start, and end, on the fused depth, so they hardly move (see `fusion`); a
-/// normal weight of 0.1 instead of 0.03 costs 0.3 dB.
+/// Returns the losses and rates of the scan. Positions start and end on the fused depth, so they hardly move (see
+/// `fusion`). A normal weight of 0.1 instead of 0.03 costs 0.3 dB.
 fn training() -> TrainConfig {
     TrainConfig {
         weights: LossWeights { depth: 10.0, normal: 0.03, ..LossWeights::default() },
@@ -212,7 +212,7 @@ impl ScanConfig {
             Preset::Draft => Self { steps_first: 100, steps_frame: 10, final_steps: 150, ..standard },
             Preset::Standard => standard,
             // For three scenes at 640 × 400, 60 steps per frame raise PSNR by 0.02 to 0.04 dB, but the depth of
-            // held-out views is 3 to 5 % worse and F1 0.001 to 0.003 lower: the refinement makes up for fewer steps
+            // held-out views is 3 to 5 % worse and F1 0.001 to 0.003 lower. The refinement makes up for fewer steps
             // (experiments/studies/gpu.md).
             Preset::Fine => Self {
                 steps_first: 400,

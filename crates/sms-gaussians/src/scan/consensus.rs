@@ -1,10 +1,9 @@
 //! Labels by consensus of the masks.
 //!
-//! Adam gives a Gaussian behind an object, which shines through by a thousandth, steps as long as one in front, so
-//! its affinity drifts towards the object's label. The masks are more reliable: if a frame measures the Gaussian on
-//! the surface, the mask there is a vote. A Gaussian with a label that a clear majority contradicts receives the
-//! affinity of the most confident Gaussian of the voted label, so that the classifier, the renders and the labels
-//! stay consistent.
+//! A Gaussian behind an object may shine through by a thousandth. Adam moves it as far as one in front, so its affinity
+//! drifts towards the object's label. The masks are more reliable: in each frame that measures the Gaussian on the
+//! surface, the mask is a vote. If a clear majority contradicts the label of a Gaussian, it receives the affinity of
+//! the most confident Gaussian of the voted label. Classifier, renders and labels then stay consistent.
 
 use super::config::ScanConfig;
 use super::nearby::map_nearby;
@@ -13,7 +12,7 @@ use crate::{AFFINITY_DIM, GaussianModel};
 use sms_core::LabelMap;
 use sms_frames::Frame;
 
-/// Share of the votes that a label needs.
+/// Smallest share of the votes for a label.
 const MAJORITY: f64 = 0.6;
 
 /// Corrects labels that contradict the masks of `frames`.
@@ -30,7 +29,7 @@ pub(crate) fn correct_labels(
         let Some(label) = vote.filter(|&label| label != model.labels[i]) else { continue };
         if let Some(affinity) = surest[usize::from(label)] {
             parameters.rows[i].0[AFFINITY..PARAMETERS].copy_from_slice(&affinity);
-            // The moments would carry the affinity back.
+            // Otherwise the moments would move the affinity back.
             parameters.first[i].0[AFFINITY..PARAMETERS].fill(0.0);
         }
     }
@@ -62,7 +61,7 @@ fn voted_labels(
     (0..gaussians.len()).map(|i| majority(&counts[classes * i..classes * (i + 1)])).collect()
 }
 
-/// Returns the label with the most votes, the lower of equals, if its share is clear.
+/// Returns the label with the most votes (the lower of equals) if its share is large enough.
 fn majority(counts: &[usize]) -> Option<u16> {
     let total: usize = counts.iter().sum();
     let (label, most) =
@@ -98,7 +97,7 @@ mod tests {
         let (sequence, labels) = record(Recorded { noise_m: 0.0, ..SMALL });
         let frames: Vec<_> = sequence.frames.iter().zip(&labels.maps).collect();
         let mut trainer = CpuTrainer::new(&TrainConfig::default(), 3, Seed(1));
-        // Affinities labelled as the ball and as the background by the untrained classifier.
+        // Affinities that the untrained classifier labels as the ball and as the background.
         let classifier = trainer.classifier();
         let affinity = |label: u16| {
             let axes = (0..AFFINITY_DIM).flat_map(|k| [3.0f32, -3.0].map(|v| (k, v)));

@@ -7,7 +7,7 @@ use sms_core::metrics::Metrics;
 use sms_core::{LabelMap, QuantileRule, quantile};
 use sms_frames::Frame;
 
-/// Least accumulated opacity of a pixel covered by Gaussians.
+/// Smallest accumulated opacity of a pixel covered by Gaussians.
 const COVERED: f32 = 0.5;
 
 /// Agreement of one rendered view with its frame.
@@ -15,15 +15,15 @@ const COVERED: f32 = 0.5;
 pub struct ViewScore {
     /// The frame's index in the sequence.
     pub frame_index: usize,
-    /// Whether it was kept out of training.
+    /// Whether the frame was excluded from training.
     pub held_out: bool,
     /// Peak signal-to-noise ratio of the colour over all pixels, decibels.
     pub psnr_db: f64,
-    /// The same over pixels with measured depth: Gaussians are only seeded where there is depth.
+    /// PSNR over pixels with measured depth: Gaussians are seeded only at these pixels.
     pub psnr_measured_db: f64,
-    /// Mean absolute depth error over pixels that have measured depth and are covered by Gaussians, metres.
+    /// Mean absolute depth error over pixels with measured depth that are covered by Gaussians, metres.
     pub depth_mae_m: f64,
-    /// Median of the same, insensitive to silhouettes.
+    /// Median absolute depth error over the same pixels, insensitive to silhouettes.
     pub depth_median_m: f64,
     /// Share of the pixels with measured depth that Gaussians cover.
     pub coverage: f64,
@@ -79,7 +79,7 @@ fn median(values: &mut [f64]) -> f64 {
     quantile(values, 0.5, QuantileRule::Nearest).unwrap_or(f64::NAN)
 }
 
-/// Pixel counts of rendered against observed labels.
+/// Confusion matrix of rendered and observed labels.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Confusion {
     classes: usize,
@@ -108,7 +108,7 @@ impl Confusion {
         }
     }
 
-    /// Mean over the classes that occur of intersection over union; `None` when nothing was counted.
+    /// Returns the intersection over union, averaged over the classes that occur; `None` when nothing was counted.
     pub(crate) fn mean_iou(&self) -> Option<f64> {
         let n = self.classes;
         let ious: Vec<f64> = (0..n)
@@ -186,7 +186,7 @@ mod tests {
         assert_eq!(confusion.mean_iou(), None);
         let truth = Image::from_vec(4, 2, vec![1, 0, 1, 1, 1, 1, 0, 0]);
         confusion.add(&maps, &truth);
-        // Class 1: 5 of 7 rendered or true; class 0: 1 of 3.
+        // Class 1: 5 of the 7 pixels rendered or observed as class 1; class 0: 1 of 3.
         assert!((confusion.mean_iou().unwrap() - 0.5 * (5.0 / 7.0 + 1.0 / 3.0)).abs() < 1e-12);
     }
 }

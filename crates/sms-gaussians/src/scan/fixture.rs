@@ -78,7 +78,7 @@ fn color(label: u16, p: DVec3, n: DVec3) -> [u8; 3] {
     (albedo * light * 255.0).to_array().map(|v| v.round().clamp(0.0, 255.0) as u8)
 }
 
-/// The recording and its true labels; the cameras move along an arc of 100° round the objects.
+/// Returns the recording and its true labels. The cameras move on an arc of 100° around the objects.
 pub(crate) fn record(r: Recorded) -> (Sequence, Labels) {
     let k = Intrinsics::from_fov(r.width, r.height, 0.65);
     let (mut frames, mut maps) = (Vec::new(), Vec::new());

@@ -1,9 +1,9 @@
 //! Projection of Gaussians onto the surface measured by all frames.
 //!
-//! Positions hardly move in training: colours would pull centres off the surface (by 2 mm at 1e-4 m a step), and
-//! one view's depth is noisy. Centres and normals are instead set to the weighted means of the measurements of all
-//! frames, as in projective fusion of depth (Curless and Levoy, SIGGRAPH 1996), separately for the two sides of
-//! walls.
+//! Positions hardly move in training: colours would pull centres off the surface (by 2 mm at 1e-4 m per step), and the
+//! depth of one view is noisy. Instead, centres and normals become the weighted means of the measurements of all
+//! frames, as in projective fusion of depth (Curless and Levoy, SIGGRAPH 1996). The two sides of a wall are fused
+//! separately.
 
 use super::config::ScanConfig;
 use super::nearby::map_nearby;
@@ -12,7 +12,7 @@ use glamx::{DQuat, DVec3, Quat, Vec3};
 use rayon::prelude::*;
 use sms_frames::Frame;
 
-/// Number of passes: the second measures at the place found by the first.
+/// Number of passes; the second measures at the position found by the first.
 const PASSES: usize = 2;
 /// Least cosine between the disc's normal and the normals of its surface.
 const SAME_SURFACE_COSINE: f64 = 0.7;
@@ -49,7 +49,7 @@ struct GaussianDisc {
     rotation_wg: Quat,
     /// Its shortest axis: 0, 1 or 2.
     axis: usize,
-    /// The same in double precision; the axis in the world.
+    /// Centre in double precision, and shortest axis in the world.
     center_w: DVec3,
     axis_w: DVec3,
 }
@@ -76,8 +76,8 @@ impl GaussianDisc {
 
     /// Moves and turns the disc to the measurements.
     fn adjust(&mut self, [front, back]: [SideMeasurement; 2]) {
-        // A thin wall is measured from both sides, and the mean of both would lie inside it: each disc belongs to
-        // the side with more measurements.
+        // A thin wall is measured from both sides, and the mean would lie inside the wall. Each disc belongs to the
+        // side with more measurements.
         let sum = if back.weight > front.weight { back } else { front };
         let Self { center_w, axis_w, .. } = *self;
         if sum.weight > 0.0 {
@@ -95,15 +95,15 @@ impl GaussianDisc {
 /// Weighted sums over frames.
 #[derive(Default)]
 struct SideMeasurement {
-    /// Of signed distances from the centre along the disc's axis, metres.
+    /// Sum of signed distances from the centre along the disc's axis, metres.
     offset: f64,
     weight: f64,
-    /// Of unit normals, which face the cameras.
+    /// Sum of unit normals, which face the cameras.
     normal_w: DVec3,
 }
 
-/// Adds the measurements of one frame at the four pixels around the projected centre, weighted bilinearly and by
-/// the inverse variance of the depth noise, to the side of the disc that the camera is on.
+/// Adds the measurements of one frame to the side of the disc that faces the camera. Uses the four pixels around the
+/// projected centre, weighted bilinearly and by the inverse variance of the depth noise.
 fn add_frame(sides: &mut [SideMeasurement; 2], frame: &Frame, disc: &GaussianDisc, config: &ScanConfig) {
     let GaussianDisc { center_w, axis_w, .. } = *disc;
     let Some((u, v, z)) = frame.camera.project(center_w) else { return };
@@ -111,7 +111,7 @@ fn add_frame(sides: &mut [SideMeasurement; 2], frame: &Frame, disc: &GaussianDis
     let (x, y) = ((u - 0.5).floor(), (v - 0.5).floor());
     let (fx, fy) = (u - 0.5 - x, v - 0.5 - y);
     let gate = config.tolerance_m(z);
-    // Most frames do not see the surface, and need neither.
+    // Computed on demand: most frames do not see the surface.
     let mut precision_and_direction = None;
     for (dx, dy, share) in
         [(0, 0, (1.0 - fx) * (1.0 - fy)), (1, 0, fx * (1.0 - fy)), (0, 1, (1.0 - fx) * fy), (1, 1, fx * fy)]

@@ -17,8 +17,8 @@ pub struct LossSample {
     pub gaussians: usize,
 }
 
-/// Whether the losses of a slot's batches have stalled: the mean of the last window is not lower than that of the
-/// window before by the required share.
+/// Returns whether the losses of a slot's batches have stalled: the mean of the last window is not lower than the mean
+/// of the window before by the required share.
 pub(crate) fn stalled(batch_losses: &[f32], settings: &StopConfig) -> bool {
     let window = settings.window.max(1);
     if !settings.enabled || batch_losses.len() < 2 * window {

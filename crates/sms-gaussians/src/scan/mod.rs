@@ -1,7 +1,7 @@
 //! The scan: seeding, the sequential schedule with replay and pruning, early stopping, checkpoint and exact resume,
-//! evaluation on views kept out of training, and the model as a `.ply` (paper, Section "Scan").
+//! evaluation on held-out views, and the model as a `.ply` (paper, Section "Scan").
 //!
-//! Everything here is written against the [`Trainer`](crate::Trainer) trait, once for every back end.
+//! All code in this module uses the [`Trainer`](crate::Trainer) trait and is shared by all back ends.
 
 mod background;
 mod checkpoint;

@@ -1,9 +1,9 @@
 //! Cache-friendly processing of many points in all frames.
 //!
-//! Gaussians lie in memory in the random order in which pixels were tried. Taken in that order, every access to a
-//! frame misses the caches: fusing 74 000 Gaussians with the depth of 53 frames of 640 × 400 took two threads 2 s.
-//! Instead, points that are close in space are processed together, one frame after the other: their projections are
-//! a small patch of each frame. Each point still meets the frames in their order, so that no sum changes.
+//! Gaussians are stored in the random order of seeding. In this order, every access to a frame misses the caches:
+//! fusing 74 000 Gaussians with the depth of 53 frames of 640 × 400 took two threads 2 s. Instead, points that are
+//! close in space are processed together, one frame after the other: their projections are a small patch of each frame.
+//! Each point is still processed in the order of the frames, so that sums do not change.
 
 use glamx::Vec3;
 use rayon::prelude::*;
@@ -13,8 +13,8 @@ const TOGETHER: usize = 256;
 /// Cells along each axis of the box around all points; a power of two.
 const CELLS: f32 = 1024.0;
 
-/// Maps the points by `of_group`, which is given the indices of a group of points close to each other and returns a
-/// value for each of them. The values are returned in the order of the points.
+/// Maps the points by `of_group`, which receives the indices of a group of nearby points and returns a value for each.
+/// The values are returned in the order of the points.
 pub(crate) fn map_nearby<T: Send + Clone + Default>(
     positions_w: &[Vec3],
     of_group: impl Fn(&[u32]) -> Vec<T> + Sync,

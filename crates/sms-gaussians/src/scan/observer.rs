@@ -51,8 +51,8 @@ pub struct SlotDone<'a> {
     pub frame: &'a Frame,
     /// The current rendering of the same view.
     pub rendered: &'a RenderedMaps,
-    /// Their agreement.
+    /// Agreement of frame and rendering.
     pub score: ViewScore,
-    /// Makes the current model; only called on demand.
+    /// Builds the current model on demand.
     pub model: &'a dyn Fn() -> GaussianModel,
 }

@@ -4,24 +4,24 @@ use glamx::Vec3;
 
 /// End of a chain.
 const NONE: u32 = u32::MAX;
-/// Fewest chains.
+/// Smallest number of chains.
 const CHAINS_MIN: usize = 1 << 10;
 
-/// Points in chains by the hash of their cell. Cells that share a chain only cost time, since the distance of every
-/// point of a chain is checked.
+/// Points in chains by the hash of their cell. The distance of every point of a chain is checked, so cells that share a
+/// chain only cost time.
 pub(crate) struct HashGrid {
     cell: f32,
-    /// First point of each chain; a power of two of them.
+    /// First point of each chain. The number of chains is a power of two.
     first: Vec<u32>,
-    /// Of each point, the next one of its chain.
+    /// Next point in the chain of each point.
     next: Vec<u32>,
     points: Vec<Vec3>,
 }
 
 impl HashGrid {
-    /// For queries of at most about `radius` metres: wider ones are slow.
+    /// Creates a grid for queries of at most about `radius` metres; wider queries are slow.
     pub(crate) fn new(radius: f32) -> Self {
-        // A query's ball then meets two cells along an axis at most.
+        // With this cell size, a query touches at most two cells along each axis.
         Self {
             cell: 2.1 * radius.max(1e-6),
             first: vec![NONE; CHAINS_MIN],
@@ -49,7 +49,7 @@ impl HashGrid {
         (mixed >> 32) as usize & (self.first.len() - 1)
     }
 
-    /// Rebuilds the chains, twice as many as points.
+    /// Rebuilds the chains, with twice as many chains as points.
     fn chain_all(&mut self) {
         let chains = (2 * self.points.len()).next_power_of_two().max(CHAINS_MIN);
         self.first = vec![NONE; chains];
@@ -75,7 +75,7 @@ impl HashGrid {
 
     /// Whether a point lies nearer than `radius` to `p`.
     pub(crate) fn any_within(&self, p: Vec3, radius: f32) -> bool {
-        // A little generous, against rounding.
+        // Slightly enlarged because of rounding.
         let reach = Vec3::splat(1.001 * radius) + p.abs() * 1e-6;
         let (low, high) = (self.cell_of(p - reach), self.cell_of(p + reach));
         // A cell's chain also holds points of other cells.

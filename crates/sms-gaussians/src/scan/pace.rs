@@ -1,5 +1,5 @@
-//! Estimate of the rest of a scan: measured seconds per step, times the remaining limit of steps, times the share
-//! of the limit that frames have needed so far.
+//! Estimate of the remaining time of a scan: measured seconds per step, times the largest number of remaining steps,
+//! times the share of this number that frames have needed so far.
 
 /// Number of steps over which seconds per step are averaged: they grow with the number of Gaussians.
 const HORIZON: f64 = 100.0;
@@ -13,14 +13,14 @@ pub(crate) struct Pace {
     used: usize,
     allowed: usize,
     seconds_per_step: Option<f64>,
-    /// Seconds besides the steps (seeding, pruning, rendering) of finished frames, and their number.
+    /// Seconds spent outside steps (seeding, pruning, rendering) in finished frames, and the number of these frames.
     beside: (f64, usize),
-    /// Seconds of one rendering, and their number at the end.
+    /// Seconds per rendering, and the number of renderings at the end.
     render: (f64, usize),
 }
 
 impl Pace {
-    /// For slots with these limits; `measured` views are rendered at the end.
+    /// Creates an estimate for slots with these limits; `measured` views are rendered at the end.
     pub(crate) fn new(limits: Vec<usize>, measured: usize) -> Self {
         Self {
             limits,
@@ -108,7 +108,7 @@ mod tests {
         pace.finished(0, 60, Some(2.0));
         pace.rendered(0.5);
         assert_eq!(pace.done(1, 0), 100, "what was not needed counts as done");
-        // 100 steps are left at most, of which 60 % are expected; two more slots have 2 s beside their steps.
+        // At most 100 steps are left, of which 60 % are expected; two more slots have 2 s besides their steps.
         let expected = 100.0 * 0.6 * 0.01 + 2.0 * 2.0 + 4.0 * 0.5;
         assert!((pace.seconds_left(1, 0).unwrap() - expected).abs() < 1e-12);
         // Only rendering is left.

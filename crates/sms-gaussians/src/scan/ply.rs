@@ -1,5 +1,5 @@
-//! The model as a standard 3D Gaussian Splatting `.ply` for viewers, with properties that viewers ignore:
-//! affinities, labels and their confidence, and the classifier and the background in a file beside it.
+//! The model as a standard 3D Gaussian Splatting `.ply` for viewers. Affinities, labels and their confidence are
+//! additional properties that viewers ignore. Classifier and background are in a separate file.
 
 use crate::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM, Seedling};
 use glamx::{Quat, Vec3};
@@ -46,7 +46,7 @@ pub fn write_ply(model: &GaussianModel, path: &Path) -> Result<(), CoreError> {
         b2: c.b2.clone(),
         background: model.background,
     };
-    // The classifier first: a PLY never stands beside an older classifier.
+    // The classifier is written first, so that a PLY is never next to an older classifier.
     atomic::write_json(&classifier_path(path), &file)?;
     let column = |value: &dyn Fn(usize) -> f32| VertexColumn::F32((0..model.len()).map(value).collect());
     let normals: Vec<Vec3> = (0..model.len()).map(|i| model.disc(i).0).collect();
@@ -76,7 +76,7 @@ pub fn write_ply(model: &GaussianModel, path: &Path) -> Result<(), CoreError> {
     ply::write(path, &["frame: world, metres, z up"], &columns)
 }
 
-/// All properties in order: the standard ones, then ours.
+/// All properties in order: the standard ones, then those of this crate.
 fn property_names() -> Vec<String> {
     let standard = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"];
     let shape = ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];

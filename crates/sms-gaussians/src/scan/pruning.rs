@@ -15,9 +15,9 @@ pub(crate) fn prune_transparent(trainer: &mut dyn Trainer, config: &ScanConfig) 
     }
 }
 
-/// Removes Gaussians below the opacity threshold and, if enabled, floaters: those with more of `frames` looking
-/// through them than measuring a surface near, and those with fewer than `least` frames measuring one. Returns the
-/// centres of the remaining ones.
+/// Removes Gaussians below the opacity threshold and, if enabled, floaters. A floater has more `frames` that see
+/// through it than frames that measure a surface near it, or fewer than `least` of the latter. Returns the centres of
+/// the remaining Gaussians.
 pub(crate) fn prune_all(
     trainer: &mut dyn Trainer,
     frames: &[&Frame],
@@ -36,10 +36,10 @@ pub(crate) fn prune_all(
     positions_w.into_iter().zip(keep).filter_map(|(p, keep)| keep.then_some(p)).collect()
 }
 
-/// Marks the points through which no more frames look than measure a surface near them, with at least `least` such
-/// frames.
+/// Marks the points with at least `least` frames that measure a surface near them, and not more frames that see through
+/// them.
 fn standing(positions_w: &[Vec3], frames: &[&Frame], least: usize, config: &ScanConfig) -> Vec<bool> {
-    // Counts frames that look through a point, and that measure a surface near it.
+    // Counts frames that see through a point, and frames that measure a surface near it.
     let add = |(through, surface): &mut (usize, usize), frame: &Frame, p_w: Vec3| {
         let sight = sight(frame, p_w, config);
         *through += usize::from(sight == PointVisibility::Through);
@@ -47,7 +47,7 @@ fn standing(positions_w: &[Vec3], frames: &[&Frame], least: usize, config: &Scan
     };
     let stands = |(through, surface): (usize, usize)| surface >= through.max(least);
     if let [frame] = frames {
-        // One frame's depth stays in the caches in any order.
+        // Frame by frame, so that the depth image stays in the caches.
         let of_point = |p_w: &Vec3| {
             let mut counts = (0, 0);
             add(&mut counts, frame, *p_w);
@@ -76,8 +76,8 @@ enum PointVisibility {
     Unknown,
 }
 
-/// Classifies a point by all of the 3 × 3 pixels around it in one frame, since beside a silhouette a single pixel
-/// may show the background.
+/// Classifies a point by all of the 3 × 3 pixels around it in one frame: next to a silhouette, a single pixel may show
+/// the background.
 fn sight(frame: &Frame, p_w: Vec3, config: &ScanConfig) -> PointVisibility {
     let Some((u, v, z)) = frame.camera.project(p_w.as_dvec3()) else { return PointVisibility::Unknown };
     let Some((x, y)) = frame.camera.pixel_at(u, v) else { return PointVisibility::Unknown };

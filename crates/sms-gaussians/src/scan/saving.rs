@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-/// A frame's checkpoint waits for this multiple of the scan's own time spent on the last one.
+/// The next checkpoint of a frame waits for this multiple of the time that the last checkpoint took from the scan.
 const LAST_TIMES: f64 = 20.0;
 
 /// Writes checkpoints beside the scan, one at a time.
@@ -16,7 +16,7 @@ pub(crate) struct Saver {
     /// Seconds between checkpoints within a frame.
     seconds: f64,
     saved: Instant,
-    /// Time of the scan spent on the last checkpoint.
+    /// Time that the last checkpoint took from the scan.
     took_s: f64,
     writing: Option<JoinHandle<Result<(), CoreError>>>,
 }
@@ -74,7 +74,7 @@ impl Saver {
 }
 
 impl Drop for Saver {
-    /// Nothing may be written after the scan has ended: its folder may be removed then.
+    /// Nothing may be written after the end of the scan, because its folder may be removed.
     fn drop(&mut self) {
         if let Some(writing) = self.writing.take() {
             // Another error of the scan takes precedence.

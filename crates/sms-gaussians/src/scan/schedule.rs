@@ -29,7 +29,7 @@ use sms_frames::{Frame, Sequence};
 use std::path::Path;
 use std::time::Instant;
 
-/// Longest time between checks of clock and cancellation, about, seconds.
+/// Approximate longest time between checks of clock and cancellation, seconds.
 const TOGETHER_S: f64 = 0.1;
 /// Greatest number of rendered views scored together.
 const VIEWS_AT_ONCE: usize = 16;

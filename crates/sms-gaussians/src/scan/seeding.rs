@@ -1,10 +1,10 @@
 //! Seeding of new Gaussians: discs on the measured surface (paper, Section "Scan").
 //!
-//! A good start saves many steps, so a disc takes its place from the depth averaged over neighbours on the same
-//! surface, its normal from the depth's normals, its size from the footprint of a pixel, its colour from the pixel.
-//! Affinities start random (as in the paper), but around a random centre for each label, so that a hidden Gaussian,
-//! which the segmentation loss never reaches, keeps the label of its pixel (on the test's ball, this raises the
-//! share of correct labels from two thirds to all but the rim). Pixels are tried in random order, those on edges
+//! A good start saves many steps. The position of a disc comes from depth averaged over neighbours on the same surface,
+//! the normal from the normals of the depth image, the size from the footprint of a pixel, and the colour from the
+//! pixel. Affinities start random (as in the paper), but around a random centre for each label. A hidden Gaussian,
+//! which the segmentation loss never reaches, then keeps the label of its pixel (on the ball of the tests, this raises
+//! the share of correct labels from two thirds to all but the rim). Pixels are tried in random order, pixels on edges
 //! first, and used if no Gaussian is within the spacing.
 
 use super::config::ScanConfig;
@@ -40,8 +40,8 @@ impl AffinityCodes {
     }
 }
 
-/// Seeds the pixels of `frame` that `rendered` (the current rendering; `None` for the first frame) does not
-/// explain. `positions_w` are the centres of the existing Gaussians; at most `room` new ones are returned.
+/// Seeds the pixels of `frame` that `rendered` (the current rendering; `None` for the first frame) does not explain.
+/// `positions_w` are the centres of the existing Gaussians. Returns at most `room` new ones.
 pub(crate) fn seed_frame(
     frame: &Frame,
     (labels, codes): (&LabelMap, &AffinityCodes),
@@ -101,7 +101,8 @@ pub(crate) fn seed_frame(
     seedlings
 }
 
-/// Returns the pixels, in row order, with depth and a normal, not too slanted, that the Gaussians do not explain.
+/// Returns the pixels, in row order, with depth and a normal, and without a steep slant, that the Gaussians do not
+/// explain.
 fn candidates(frame: &Frame, rendered: Option<&RenderedMaps>, config: &ScanConfig) -> Vec<usize> {
     let unexplained = |i: usize, depth: f32| {
         rendered.is_none_or(|maps| {
@@ -157,9 +158,9 @@ struct SeedSurface {
     cosine: f64,
 }
 
-/// Returns the surface at pixel `i`: its point is moved along the ray onto the mean of the 3 × 3 neighbours within
-/// the noise of the tangent plane. A wider window would cut into curved surfaces: on a ball of 30 mm radius seen at
-/// 2 mm a pixel, 3 × 3 lies 0.1 mm too deep and 5 × 5 0.3 mm.
+/// Returns the surface at pixel `i`. Its point is moved along the ray onto the mean of the 3 × 3 neighbours within the
+/// noise of the tangent plane. A wider window would cut into curved surfaces: on a ball of 30 mm radius seen at 2 mm
+/// per pixel, 3 × 3 lies 0.1 mm too deep and 5 × 5 0.3 mm.
 fn surface_at(frame: &Frame, i: usize, config: &ScanConfig) -> SeedSurface {
     let (width, z) = (frame.depth.width, f64::from(frame.depth.data[i]));
     let normal_c = DVec3::from_array(frame.normal_c.data[i].map(f64::from)).normalize();

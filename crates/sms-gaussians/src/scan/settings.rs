@@ -1,5 +1,5 @@
-//! The hash of all inputs of a scan. It takes as long as a hundred steps on a GPU, so it is computed while the
-//! first frame is trained.
+//! The hash of all inputs of a scan. It takes as long as a hundred steps on a GPU, so it is computed while the first
+//! frame is trained.
 
 use super::config::ScanConfig;
 use sms_core::{Hash, Hasher, Labels, Seed};
@@ -55,7 +55,7 @@ impl SettingsHash<'_> {
         }
         match self {
             Self::Known(hash) => hash.clone(),
-            // Its thread panicked, and so did the first caller.
+            // The thread panicked, and the panic was reported to the first caller.
             Self::Coming(_) => Hash(String::new()),
         }
     }

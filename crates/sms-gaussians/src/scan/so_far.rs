@@ -1,6 +1,6 @@
 //! Record of earlier, interrupted attempts at the same scan: their time and their warnings.
 //!
-//! It lies beside the checkpoint, not in it: the checkpoint has the same bytes however it was reached.
+//! The record is separate from the checkpoint, so that the bytes of the checkpoint do not depend on interruptions.
 
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, Warning, Warnings, atomic};
@@ -30,7 +30,7 @@ impl SoFar {
         Self { path: work_dir.join(FILE), began: Instant::now(), earlier_s: 0.0 }
     }
 
-    /// Adds the record of the attempt before; called when its checkpoint is resumed.
+    /// Adds the record of the previous attempt; called when its checkpoint is resumed.
     pub(crate) fn resume(&mut self, stage: &str, warnings: &Warnings) {
         if !self.path.exists() {
             return;
@@ -57,7 +57,7 @@ impl SoFar {
         self.earlier_s + self.began.elapsed().as_secs_f64()
     }
 
-    /// Writes it for a possible next attempt.
+    /// Writes the record for a possible next attempt.
     pub(crate) fn save(&self, warnings: &Warnings) -> Result<(), CoreError> {
         atomic::write_json(
             &self.path,

@@ -18,7 +18,7 @@ use std::path::Path;
 
 pub(super) const SEED: Seed = Seed(5);
 
-/// Few enough steps for many runs; every part of the schedule occurs.
+/// Few steps, for many runs; every part of the schedule occurs.
 pub(super) fn quick() -> ScanConfig {
     let mut config =
         ScanConfig { steps_first: 40, steps_frame: 20, final_steps: 20, ..ScanConfig::default() };
@@ -42,7 +42,7 @@ fn run(
 
 #[derive(Debug, Clone, Copy)]
 enum Disturbance {
-    /// Ctrl-C at this call of `steps`.
+    /// Ctrl-C in this call of `steps`.
     Cancel(usize),
     /// The process dies in this call of `steps`.
     Kill(usize),
@@ -195,8 +195,8 @@ fn held_out_frames_change_nothing_but_their_own_scores() {
     assert_ne!(a[3], b[3]);
 }
 
-/// Mean and mean magnitude of the signed distance to the true surface of the Gaussians labelled `label` (metres),
-/// over those nearer than 1 cm.
+/// Returns the mean and mean magnitude of the signed distance (metres) of Gaussians labelled `label` to the true
+/// surface, and their number. Only Gaussians within 1 cm count.
 fn surface_error_m(model: &GaussianModel, label: u16) -> (f64, f64, usize) {
     let distances: Vec<f64> = (0..model.len())
         .filter(|&i| model.labels[i] == label)
@@ -224,7 +224,7 @@ fn the_standard_preset_reconstructs_the_recording() {
     assert!(metric("scan.train_psnr_db") > 30.0 && metric("scan.holdout_psnr_db") > 23.0);
     assert!(metric("scan.holdout_depth_mae_m") < 0.0016 && metric("scan.holdout_depth_median_m") < 0.001);
     assert!(metric("scan.holdout_miou") > 0.96 && metric("scan.holdout_coverage") > 0.97);
-    // The Gaussians themselves lie on the surface: with 1 mm of noise a frame, without bias.
+    // The Gaussians lie on the surface without bias: noise is 1 mm per frame.
     for (label, bias, distance) in [(0, 5e-5, 4e-4), (BALL, 1.5e-4, 3e-4), (BOX, 1e-4, 3e-4)] {
         let (mean, magnitude, count) = surface_error_m(model, label);
         assert!(
@@ -261,7 +261,7 @@ fn the_standard_preset_reconstructs_the_recording() {
 fn a_sky_without_depth_is_the_background_and_not_covered() {
     let (mut sequence, labels) = record(SMALL);
     let sky = [120, 170, 230];
-    // The floor ends within view.
+    // The floor ends in view.
     for frame in &mut sequence.frames {
         for y in 0..SMALL.height {
             for x in 0..SMALL.width {

@@ -39,12 +39,12 @@ pub(crate) fn state_of_model(model: &GaussianModel) -> TrainState {
 /// Renders frames of `sequence` from `model` on the CPU. Indices beyond the sequence are left out.
 pub fn render_views(model: &GaussianModel, sequence: &Sequence, frames: &[usize]) -> Vec<ViewRender> {
     let mut trainer = CpuTrainer::new(&TrainConfig::default(), model.classifier.classes.max(1), Seed(0));
-    // A state made of a model is valid by construction, unless the model contains numbers that are not finite; then
-    // nothing can be rendered.
+    // A state made from a model is valid, unless the model has a number that is not finite. Such a model is not
+    // rendered.
     render_views_with(&mut trainer, model, sequence, frames).unwrap_or_default()
 }
 
-/// The same through a back end; its own Gaussians and background are replaced by the model's.
+/// Like [`render_views`], with another back end. The model's Gaussians and background replace those of the trainer.
 ///
 /// # Errors
 /// [`TrainerError::BadState`] if the trainer has another number of classes or the model is not finite.

@@ -36,7 +36,7 @@ fn watched(
 #[derive(Default)]
 struct Notes {
     batches: Vec<BatchDone>,
-    /// Slot, frame, PSNR, Gaussians of the model, rendered pixels.
+    /// Slot, frame, PSNR, number of Gaussians, number of rendered pixels.
     slots: Vec<(usize, usize, f64, usize, usize)>,
 }
 
@@ -51,7 +51,7 @@ impl ScanObserver for Notes {
     }
 }
 
-/// Records every status: units done, seconds left, the named figures.
+/// Records every status: units done, seconds left, named values.
 #[derive(Default)]
 struct Kept(Mutex<Vec<(u64, Option<f64>, Vec<(String, f64)>)>>, Mutex<u64>);
 
@@ -79,7 +79,7 @@ fn whoever_watches_sees_every_batch_and_frame_and_changes_nothing() {
     assert_eq!(bytes(seen.path()), bytes(alone.path()));
 
     assert_eq!(notes.batches.iter().map(|b| b.sample).collect::<Vec<_>>(), result.losses);
-    // Eight frames less two held out, then the refinement, represented by the last frame.
+    // Eight frames minus two held out, then the refinement, represented by the last frame.
     let slots: Vec<(usize, usize)> = notes.slots.iter().map(|s| (s.0, s.1)).collect();
     assert_eq!(slots, [(0, 0), (1, 1), (2, 2), (3, 4), (4, 5), (5, 6), (6, 6)]);
     let last = notes.slots.last().unwrap();

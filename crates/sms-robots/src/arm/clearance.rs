@@ -5,7 +5,7 @@ use crate::arm::model::{LinkCollision, RobotModel};
 use crate::arm::shape::{Clearance, Obstacle, distance, obstacle_distance};
 use glamx::DPose3;
 
-/// Number of sampled postures that decide which shapes always overlap, and the share of them that counts as always.
+/// Number of sampled postures that determine which shapes always overlap, and the share of them that counts as always.
 const PROBES: usize = 64;
 const ALWAYS: f64 = 0.95;
 
@@ -17,9 +17,10 @@ impl RobotModel {
         out.extend(self.collisions.iter().map(|c| self.body_pose(c.joint, ws) * c.x_js));
     }
 
-    /// Returns the two links that are nearest to each other, or overlap most. Links of one body and of neighbouring bodies are
-    /// skipped, and so are shapes that overlap in nearly every posture: their overlap is part of the model. `None` when no
-    /// pair is left. Distances beyond `enough` metres are not computed exactly.
+    /// Returns the two links that are nearest to each other, or overlap most. Links of the same body and of
+    /// neighbouring bodies are skipped, and so are shapes that overlap in nearly every posture, because such an overlap
+    /// is part of the model. Returns `None` when no pair is left. Distances beyond `enough` metres are not computed
+    /// exactly.
     pub fn self_clearance(&self, poses: &[DPose3], enough: f64) -> Option<Clearance> {
         let mut best = (f64::INFINITY, None);
         for &(i, j) in &self.pairs {
@@ -63,8 +64,8 @@ impl RobotModel {
         })
     }
 
-    /// Whether the bounding spheres of an obstacle and of a moving link come within `enough` metres of each other. If not, no
-    /// distance is smaller than that.
+    /// Returns whether the bounding spheres of an obstacle and of a moving link come within `enough` metres of each
+    /// other. If they do not, no distance is smaller than `enough`.
     pub(crate) fn may_be_near(&self, poses: &[DPose3], obstacle: &Obstacle, enough: f64) -> bool {
         let (center_w, radius) = obstacle.sphere_w();
         let mut moving = self.collisions.iter().zip(poses).filter(|(c, _)| c.joint.is_some());
@@ -107,7 +108,7 @@ impl RobotModel {
         self.pairs = pairs;
     }
 
-    /// The `index`-th of a sequence of postures that spread over all joints' ranges (Halton; 0 is the middle).
+    /// Returns the `index`-th of a sequence of postures spread over the ranges of all joints (Halton; 0 is the middle).
     pub(crate) fn spread_posture(&self, index: usize) -> Vec<f64> {
         const PRIMES: [u32; 16] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53];
         self.joints

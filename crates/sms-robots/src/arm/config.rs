@@ -21,8 +21,8 @@ pub struct RobotConfig {
     /// Pose of the robot's base in the run's world, `X_world_robot`: 4 × 4, rigid, metres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub x_world_robot: Option<[[f64; 4]; 4]>,
-    /// Pose of the base in the recording's own world, as a hand-eye calibration gives it. The run's world is the
-    /// recording's with the floor level. Excludes `x_world_robot`.
+    /// Pose of the base in the recording's world, for example from a hand-eye calibration. The run's world is the
+    /// recording's world with a level floor. Excludes `x_world_robot`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub x_recording_robot: Option<[[f64; 4]; 4]>,
     /// Distance from the tool's origin to its front face, metres. Without `tool_half_m`, the striking box has this half
@@ -108,7 +108,7 @@ impl RobotConfig {
         self.x_world_robot.as_ref().and_then(pose_of).or_else(in_recording)
     }
 
-    /// Half extents of the striking box about the tool's origin, metres; its front face is at `x`.
+    /// Half extents of the striking box about the tool's origin, metres. The front face is the plane `x` = half extent.
     pub fn half_m(&self) -> DVec3 {
         self.tool_half_m.map_or(FIST_HALF.with_x(self.front_m), DVec3::from_array)
     }

@@ -256,8 +256,8 @@ pub(crate) fn obstacle_distance(
     }
 }
 
-/// A lower bound of the distance of two convex shapes, metres: the gap of their supporting planes perpendicular to the
-/// line between their middles. `center_b` is the middle of `b` in its frame.
+/// A lower bound of the distance of two convex shapes, metres: the gap between their supporting planes perpendicular to
+/// the line through their centres. `center_b` is the centre of `b` in its frame.
 fn gap_between(a: &LinkShape, x_wa: &DPose3, b: &LinkShape, x_wb: &DPose3, center_b: DVec3) -> f64 {
     let Some(to_b_w) = (x_wb.transform_point(center_b) - x_wa.translation).try_normalize() else {
         return f64::NEG_INFINITY;
@@ -293,7 +293,7 @@ fn segment_distance(ca: DVec3, ha: DVec3, cb: DVec3, hb: DVec3) -> f64 {
     (r + s * ha - t * hb).length()
 }
 
-/// A named half space whose surface is the plane z = `height_m` of the world.
+/// A half space below the plane z = `height_m` of the world.
 pub fn floor(height_m: f64) -> Obstacle {
     Obstacle::new("floor", DPose3::from_translation(DVec3::new(0.0, 0.0, height_m)), ObstacleShape::HalfSpace)
 }
@@ -323,7 +323,7 @@ mod tests {
     }
 
     proptest! {
-        /// No two points of the axes are nearer than the closed form says, and some are nearly as near. (Parry's
+        /// No two points of the axes are closer than the closed form says, and some are nearly as close. (Parry's
         /// iteration stops up to 13 µm too far away.)
         #[test]
         fn capsules_are_as_far_apart_as_their_nearest_points(
@@ -369,7 +369,7 @@ mod tests {
     }
 
     proptest! {
-        /// The planes between two shapes are never farther apart than the shapes.
+        /// The gap of the planes is never larger than the distance of the shapes.
         #[test]
         fn the_gap_of_planes_is_a_lower_bound(
             a in prop::array::uniform6(-1.0..1.0f64), b in prop::array::uniform6(-1.0..1.0f64), kind in 0..4usize,

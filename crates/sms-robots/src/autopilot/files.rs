@@ -13,9 +13,9 @@ use std::path::Path;
 pub struct FlightFiles {
     /// Time between set-points, seconds. PX4's offboard mode requires more than two per second.
     pub period_s: f64,
-    /// Position of arming: world x and y, metres. By default below the start of the flight.
+    /// Position at arming: world x and y, metres. By default below the start of the flight.
     pub home_w: Option<[f64; 2]>,
-    /// Height of the ground there in the world, metres.
+    /// Height of the ground at this position in the world, metres.
     pub ground_m: f64,
     /// Direction of east in the world: rotation about z from the world's x, radians.
     pub east_yaw: f64,
@@ -43,7 +43,7 @@ impl FlightFiles {
             r.within(key, self.home_w.map_or(0.0, |h| h[value]), -1e3, 1e3)?;
         }
         if let Some(g) = &self.geodetic {
-            // Meridians meet at the poles.
+            // Longitude is undefined at the poles.
             r.within("geodetic.latitude_deg", g.latitude_deg, -89.0, 89.0)?;
             r.within("geodetic.longitude_deg", g.longitude_deg, -180.0, 180.0)?;
             r.within("geodetic.altitude_m", g.altitude_m, -500.0, 9000.0)?;

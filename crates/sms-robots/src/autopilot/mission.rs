@@ -43,9 +43,9 @@ pub struct Mission {
     pub items: Vec<MissionItem>,
 }
 
-/// The mission of a flight; `None` if the home position is unknown. The way between waypoints deviates from the curve by
-/// less than a centimetre. The autopilot determines the timing: the speed along the curve is `speed` (m/s), that of the
-/// descent is a parameter of the vehicle.
+/// The mission of a flight; `None` if the home position is unknown. The way between waypoints deviates from the curve
+/// by less than a centimetre. The autopilot determines the timing: the speed along the curve is `speed` (m/s), and the
+/// descent speed is a parameter of the vehicle.
 pub fn mission(flight: &Flight, home: &Home, yaw: f64, speed: f64) -> Option<Mission> {
     let geodetic = home.geodetic?;
     let path = flight.path();
@@ -59,7 +59,7 @@ pub fn mission(flight: &Flight, home: &Home, yaw: f64, speed: f64) -> Option<Mis
     let speed_item = MissionItem {
         command: CHANGE_SPEED,
         frame: NO_PLACE,
-        // Ground speed, throttle left alone.
+        // Ground speed; throttle unchanged.
         params: [1.0, speed, -1.0, 0.0, 0.0, 0.0, 0.0],
     };
     let mut items = vec![place(TAKEOFF, 0.0, path.point(0.0).0)?, speed_item];
@@ -70,7 +70,7 @@ pub fn mission(flight: &Flight, home: &Home, yaw: f64, speed: f64) -> Option<Mis
     Some(Mission { home: geodetic, speed, items })
 }
 
-/// Number of equal pieces of the curve whose chords are close enough to it.
+/// Returns the number of equal pieces of the curve with chords close enough to it.
 fn pieces(flight: &Flight) -> usize {
     let path = flight.path();
     let point = |s: f64| path.point(path.length() * s).0;

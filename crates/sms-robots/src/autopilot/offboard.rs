@@ -179,7 +179,7 @@ mod tests {
         assert_eq!(&rows[1][..4], ["0.0000", "0.00000", "0.00000", "-1.10000"], "above home");
         let last = &rows[points.len()];
         let down: [f64; 2] = [last[3], last[6]].map(|t| t.parse().unwrap());
-        // It descends to 1 cm above where it will stand, 0.8 m above the floor of which 0.05 m are its legs.
+        // The vehicle descends to 1 cm above its resting height: the pad is at 0.8 m, and the legs are 0.05 m long.
         assert!((down[0] + 0.76).abs() < 1e-5 && (down[1] - 0.3).abs() < 1e-9, "{down:?}");
         assert_eq!(last[8], "cut");
     }

@@ -84,7 +84,7 @@ pub struct FlightSettings {
 
 impl Default for FlightSettings {
     fn default() -> Self {
-        // Slow enough that the vehicle need not brake hard over the platform.
+        // Slow enough to avoid hard braking above the platform.
         Self { speed: 0.5, descent_speed: 0.3, height: 0.35, cut_height: 0.01 }
     }
 }

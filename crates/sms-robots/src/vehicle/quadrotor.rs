@@ -176,7 +176,7 @@ mod tests {
         let total: f64 = vehicle.hover_thrusts(9.81).iter().sum();
         assert!((total - 1.182 * 9.81).abs() < 1e-12);
         assert_eq!(vehicle.standing_height(), 0.05);
-        // The stated inertia is that of the stated masses: a box, and four points at mid height.
+        // The stated inertia follows from the stated masses: a box, and four points at mid height.
         let (box_mass, motor) = (0.942, 0.06);
         let h = vehicle.body_half;
         let boxed =

@@ -1,4 +1,4 @@
-//! The FR3's fitted capsules against the collision meshes that they approximate.
+//! The FR3's fitted capsules, compared with the collision meshes.
 //!
 //! The meshes are in `robots/fr3_collision` of the test data (`SMS_TEST_DATA`, by default `../shared/data` beside the
 //! workspace).

@@ -79,7 +79,7 @@ proptest! {
         }
     }
 
-    /// Jacobian and J' q' against differences of the pose and of the velocity.
+    /// Compares Jacobian and J̇ q̇ with differences of the pose and of the velocity.
     #[test]
     fn derivatives_are_those_of_the_motion(
         q in prop::array::uniform5(-0.4..0.4f64), v in prop::array::uniform5(-2.0..2.0f64),
@@ -115,8 +115,8 @@ proptest! {
         prop_assert!(((after.1 - before.1) / (2.0 * h) - alpha).length() < 1e-6);
     }
 
-    /// An impulse p at a point adds p · (v before + v after) / 2 of kinetic energy, and the point's velocity changes by
-    /// the mobility times p.
+    /// An impulse p at a point adds p · (v before + v after) / 2 of kinetic energy, and changes the velocity of the
+    /// point by mobility times p.
     #[test]
     fn an_impulse_does_the_work_that_it_must(
         q in prop::array::uniform7(-0.8..0.8f64), v in prop::array::uniform7(-1.0..1.0f64),
@@ -166,7 +166,7 @@ proptest! {
         }
     }
 
-    /// Gravity's torques are the slope of the potential energy.
+    /// The torques of gravity are the gradient of the potential energy.
     #[test]
     fn gravity_is_the_slope_of_the_potential(q in prop::array::uniform7(-1.0..1.0f64)) {
         let model = RobotModel::fr3();

@@ -13,7 +13,7 @@ fn tool_at(model: &RobotModel, q: &[f64]) -> DPose3 {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// A target of a posture well inside the limits is solved, and all solutions reach it.
+    /// Targets from postures well inside the limits are found, and all solutions reach them.
     #[test]
     fn what_can_be_reached_is_found(shares in prop::array::uniform7(0.1..0.9f64)) {
         let model = RobotModel::fr3();
@@ -34,7 +34,7 @@ proptest! {
             prop_assert!(x.rotation.angle_between(goal.rotation) < 1e-6);
             prop_assert!(model.limit_margin(&solution.q).1 >= 0.02 - 1e-12);
             let (_, margin) = model.limit_margin(&solution.q);
-            // A margin of 0.02 rad is the least, and no half range is more than 3.1 rad.
+            // The smallest margin is 0.02 rad, and no half range exceeds 3.1 rad.
             prop_assert!(solution.limit_share > 0.02 / 3.1 && solution.limit_share <= margin, "{solution:?}");
         }
         let worth = |s: &sms_robots::IkSolution| s.limit_share * s.manipulability;
@@ -60,11 +60,11 @@ fn what_is_out_of_reach_is_said_with_how_far() {
     let e = model
         .inverse_kinematics(&IkTarget::Pose(far), None, &IkConfig::default(), &mut Workspace::default())
         .unwrap_err();
-    // The wrist's reach is 0.855 m, and the tool is 0.3 m beyond it at most.
+    // The wrist reaches 0.855 m, and the tool extends at most 0.3 m beyond it.
     assert!((0.345..1.0).contains(&e.position_error_m), "{e}");
     let reached = tool_at(&model, &e.best_q);
     assert!((reached.translation.distance(far.translation) - e.position_error_m).abs() < 1e-12);
-    // A point that is near enough, but not with this attitude: palm up close to the floor.
+    // A point within reach, but not with this attitude: palm up close to the floor.
     let twisted =
         DPose3::from_parts(DVec3::new(0.5, 0.0, 0.03), DQuat::from_rotation_x(std::f64::consts::PI));
     let e = model

@@ -28,13 +28,13 @@ fn accelerations(model: &RobotModel, q: &[f64], qd: &[f64], tau: &[f64]) -> ([f6
     (qdd, a, alpha)
 }
 
-/// Without limits, so that the law itself is observed.
+/// Without limits, so that the result is that of the control law.
 fn unlimited() -> OscConfig {
     OscConfig { torque_rate: 1e12, friction_compensation: false, ..OscConfig::default() }
 }
 
 proptest! {
-    /// On its own model the controller gives the tool exactly the acceleration of the law, whatever the posture: the null
+    /// On its own model, the controller gives the tool exactly the acceleration of the law, in any posture: the null
     /// space is dynamically consistent.
     #[test]
     fn the_tool_gets_its_acceleration_and_the_posture_what_is_left(
@@ -63,7 +63,7 @@ proptest! {
         let (_, linear, angular) = accelerations(&model, &q, &qd, &out.tau);
         prop_assert!((linear - reference.a_w).length() < 1e-3, "{linear} {}", reference.a_w);
         prop_assert!((angular - reference.alpha_w).length() < 1e-3, "{angular} {}", reference.alpha_w);
-        // Another posture changes the joints' accelerations, not the tool's.
+        // Another null-space posture changes the accelerations of the joints but not that of the tool.
         let other = Osc::new(unlimited(), &q, &gravity(&model, &q)).step(&model, &q, &qd, &reference);
         prop_assume!(other.saturated.is_none());
         let (_, again, _) = accelerations(&model, &q, &qd, &other.tau);
@@ -119,7 +119,7 @@ fn a_joint_that_is_too_fast_is_named_and_braked() {
     let mut ws = Workspace::default();
     let q = model.home().to_vec();
     let mut reference = hold_reference(&model, &q, &mut ws);
-    // The tool is asked to go on as fast as joint 1 carries it, and faster.
+    // The tool's reference is as fast as joint 1 moves the tool, and faster.
     let mut qd = [0.0; 7];
     qd[0] = 3.2;
     let mut jacobian = Jacobian::default();

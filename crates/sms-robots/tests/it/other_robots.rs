@@ -1,4 +1,4 @@
-//! Arms that are not the built-in one: six joints, and five that cannot hold every attitude.
+//! Other arms than the built-in one: with six joints, and with five, which cannot reach every attitude.
 
 use glamx::{DPose3, DVec3};
 use sms_robots::{
@@ -7,7 +7,8 @@ use sms_robots::{
 };
 use std::path::Path;
 
-/// An arm of joints (axis, offset from the one before, mass); the tool is `reach` beyond the last, z against it.
+/// An arm with joints (axis, offset from the previous one, mass). The tool is `reach` beyond the last joint, with its z
+/// axis reversed.
 fn arm(joints: &[(&str, [f64; 3], f64)], tool_rpy: &str, reach: &str) -> RobotModel {
     let mut text = String::from("<robot name=\"made up\"><link name=\"l0\"/>");
     for (k, (axis, [x, y, z], mass)) in joints.iter().enumerate() {
@@ -103,7 +104,7 @@ fn an_arm_of_five_joints_reaches_directions_and_says_so_of_attitudes() {
     assert!(
         (x.translation - position_w).length() < 1e-8 && (x.rotation * DVec3::Z - DVec3::Z).length() < 1e-8
     );
-    // Tilted to its side it cannot be held: the arm moves in one upright plane.
+    // This attitude is out of reach: the arm moves in one upright plane.
     let aside = IkTarget::Axis { position_w, z_w: DVec3::new(-0.2, 0.4, 0.5).normalize() };
     let e = model.inverse_kinematics(&aside, None, &IkConfig::default(), &mut ws).unwrap_err();
     assert!(e.position_error_m > 1e-3 || e.angle_error_rad > 1e-2, "{e}");

@@ -28,7 +28,7 @@ fn the_program_is_sampled_at_1_khz_and_passes_the_contact_as_asked() {
     for phase in [Phase::Approach, Phase::Descent, Phase::Sweep, Phase::Lift] {
         assert!(program.points.iter().any(|p| p.phase == phase));
     }
-    // Smooth enough for a robot that refuses jumps.
+    // The points are smooth enough for a robot that rejects jumps.
     for pair in program.points.windows(2) {
         for i in 0..7 {
             let limit = &model.joints()[i].limits;
@@ -40,7 +40,7 @@ fn the_program_is_sampled_at_1_khz_and_passes_the_contact_as_asked() {
             assert!(rate.abs() <= 1000.0, "joint {i} at {}: {rate} N·m/s", pair[0].time_s);
         }
     }
-    // Speed of the tool about the contact, from the table alone.
+    // Speed of the tool around the contact, computed from the table alone.
     let k = (program.contact_s / 1e-3).round() as usize;
     let at = |k: usize| DVec3::from(program.points[k].tool_position_w);
     let v = (at(k + 1) - at(k - 1)) / 2e-3;

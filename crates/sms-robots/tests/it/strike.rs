@@ -24,8 +24,8 @@ fn workspace() -> impl Iterator<Item = (f64, f64, f64)> {
     })
 }
 
-/// At least this many of the 84 strikes have a motion within all limits at each speed; the others are refused with the
-/// limiting joint (mostly the elbow's 2.62 rad/s).
+/// Smallest number of the 84 strikes with a motion within all limits at each speed. The others fail at a limiting joint
+/// (mostly the elbow's 2.62 rad/s).
 const FEASIBLE: [(f64, usize); 5] = [(0.2, 84), (0.5, 84), (0.85, 64), (1.2, 40), (1.5, 10)];
 
 #[test]
@@ -98,7 +98,7 @@ fn the_contact_is_passed_well_enough_when_the_robot_is_not_its_model() {
 fn the_smooth_profile_tracks_better_than_the_uniform_one() {
     let model = RobotModel::fr3();
     let mut config = StrikeConfig::default();
-    // The uniform profile's torques jump; this permits it.
+    // The torques of the uniform profile jump; this setting permits jumps.
     config.osc.torque_rate = 1e9;
     let mut ws = Workspace::default();
     let smooth = ball_at(0.6, 0.0, 90.0, 1.2);
@@ -213,7 +213,7 @@ fn strikes_that_make_no_sense_are_refused() {
     }
 }
 
-/// The distance of an obstacle does not depend on its representation, and culling changes nothing.
+/// The distance of an obstacle is independent of its representation, and of culling.
 #[test]
 fn obstacles_count_the_same_as_box_hulls_and_surface() {
     let model = RobotModel::fr3();
@@ -307,7 +307,7 @@ fn the_check_finds_what_is_in_the_way_of_the_approach() {
     let mut ws = Workspace::default();
     let config = StrikeConfig::default();
     let plan = plan_strike(&model, &ball_at(0.5, 0.1, -20.0, 0.6), &[floor(0.0)], &config, &mut ws).unwrap();
-    // Where the hand hangs at home, above the strike.
+    // The hand is at this place in the home posture, above the strike.
     let lamp = Obstacle::new(
         "lamp",
         DPose3::from_translation(DVec3::new(0.5545, 0.0, 0.5)),
@@ -343,7 +343,7 @@ fn what_is_struck_is_in_the_way_before_the_sweep_and_not_in_it() {
     assert!(check.executable(), "{:?}", check.failed().collect::<Vec<_>>());
     let of_ball = check.items.iter().find(|i| i.detail.contains("ball")).unwrap();
     assert!(of_ball.detail.contains("descent") || of_ball.detail.contains("approach"), "{}", of_ball.detail);
-    // At the place of the descent, the ball would be pushed before the strike.
+    // On the path of the descent, the ball would be pushed before the strike.
     let around = [floor(0.0), ball(x - 0.1 - RADIUS, y)];
     match plan_strike(&model, &sweep, &around, &config, &mut ws) {
         Err(StrikeError::Unstartable { clearance, .. }) => assert_eq!(clearance.other, "ball"),
@@ -411,7 +411,7 @@ fn near_the_robot_what_is_planned_passes_every_check_or_is_refused() {
                     assert!(e.cure().contains("further away"), "{}", e.cure());
                     refused += 1;
                 }
-                // Only the whole motion, with the settling after the sweep, reaches the joint limit.
+                // Only the whole motion, including the settling after the sweep, reaches the joint limit.
                 Err(StrikeError::Infeasible(e)) => assert!(e.limit == LimitKind::Position, "{e}"),
                 Err(e) => panic!("{x} {y} {degrees}°: {e}"),
             }

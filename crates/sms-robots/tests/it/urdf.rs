@@ -237,14 +237,14 @@ fn collision_shapes_and_meshes_are_checked() {
 fn the_built_in_robot_stands_as_its_maker_says() {
     let model = RobotModel::fr3();
     let mut ws = Workspace::default();
-    // At the home of the source the flange is at (0.5545, 0, 0.6245) m.
+    // In the home posture of the source, the flange is at (0.5545, 0, 0.6245) m.
     model.forward_kinematics(model.home(), &mut ws);
     let flange = model.frame_pose(model.frame("fr3_link8").unwrap(), &ws);
     assert!((flange.translation - DVec3::new(0.5545, 0.0, 0.6245)).length() < 1e-4, "{}", flange.translation);
     let fist: DPose3 = model.frame_pose(model.tool(), &ws);
     assert!((fist.rotation * DVec3::Z - DVec3::Z).length() < 1e-12, "z points up");
     assert!((fist.rotation * DVec3::X).z.abs() < 1e-12, "x is level");
-    // The fist reaches half a tip beyond its centre.
+    // The fist extends half a fingertip beyond its centre.
     let lowest = model
         .collisions()
         .iter()

@@ -91,8 +91,8 @@ pub struct Osc {
 }
 
 impl Osc {
-    /// Creates a controller with the null-space posture `posture`, for a robot that the torques `tau` have held until now
-    /// (see [`RobotModel::gravity_torques`]).
+    /// Creates a controller with the null-space posture `posture`, for a robot that was held by the torques `tau` so
+    /// far (see [`RobotModel::gravity_torques`]).
     ///
     /// # Panics
     /// When there are more than [`MAX_JOINTS`] entries.
@@ -109,8 +109,8 @@ impl Osc {
         &self.config
     }
 
-    /// Computes the torques of the next period from measured positions and speeds. The pose and velocities of `reference` are
-    /// those of the start of the period, its accelerations those of the middle.
+    /// Computes the torques of the next period from measured positions and speeds. `reference` holds the pose and
+    /// velocities at the start of the period, and the accelerations at its middle.
     pub fn step(
         &mut self,
         model: &RobotModel,
@@ -152,8 +152,8 @@ impl Osc {
 }
 
 impl Osc {
-    /// Accelerations under `driven` torques (friction subtracted) in the state of the last step, equal to
-    /// [`RobotModel::forward_dynamics`] but without recomputing the dynamics. `None` before the first step.
+    /// Returns the accelerations under `driven` torques (friction subtracted) in the state of the last step. They equal
+    /// those of [`RobotModel::forward_dynamics`], but the dynamics are not recomputed. `None` before the first step.
     pub(crate) fn acceleration(&self, model: &RobotModel, driven: &JointVector) -> Option<JointVector> {
         let n = model.dof();
         let mut a = [0.0; MAX_JOINTS];
@@ -179,7 +179,7 @@ pub fn joint_friction(damping: f64, coulomb: f64, qd: f64) -> f64 {
 pub(crate) struct TaskGoal<'a> {
     /// Motion of the tool.
     pub(crate) reference: ToolReference,
-    /// Posture that the null space is drawn to.
+    /// Target posture of the null space.
     pub(crate) posture: &'a JointVector,
     pub(crate) gains: &'a OscConfig,
 }

@@ -96,7 +96,7 @@ pub(crate) const LENGTH_M: f64 = 0.2;
 /// Settings of one Levenberg-Marquardt step.
 struct StepSettings {
     damping: f64,
-    /// Share of the way to the middle of the ranges that the null space is asked to go.
+    /// Step of the null space as a share of the way to the middle of the ranges.
     pull: f64,
     /// Distance from the position limits, radians or metres.
     margin: f64,

@@ -133,9 +133,10 @@ impl RobotModel {
         true
     }
 
-    /// Mobility J M⁻¹ Jᵀ, 1/kg, of a point that moves with a frame: its velocity change per impulse at the point. Along a
-    /// unit direction d, 1/(dᵀ X d) is the effective mass in a collision, which is too short for control to react. Zero for
-    /// a point of the base. After [`Self::forward_kinematics`].
+    /// Returns the mobility J M⁻¹ Jᵀ, 1/kg, of a point fixed to a frame: the velocity change of the point per impulse.
+    /// The effective mass in a collision along a unit direction d is 1/(dᵀ X d), where X is the mobility; collisions
+    /// are too short for the control to react. The mobility is zero for a point of the base. After
+    /// [`Self::forward_kinematics`].
     pub fn point_mobility(&self, frame: FrameId, point_w: DVec3, ws: &mut Workspace) -> DMat3 {
         let mut rows = [[0.0; MAX_JOINTS]; 3];
         self.point_rows(frame, point_w, ws, &mut rows);
@@ -149,8 +150,8 @@ impl RobotModel {
         DMat3::from_cols(columns[0], columns[1], columns[2])
     }
 
-    /// Changes the speeds `qd` by an impulse, N·s in the world, at a point that moves with a frame: q̇ += M⁻¹ Jᵀ p.
-    /// After [`Self::forward_kinematics`].
+    /// Changes the speeds `qd` by an impulse, N·s in the world, at a point fixed to a frame: q̇ += M⁻¹ Jᵀ p. After
+    /// [`Self::forward_kinematics`].
     pub fn apply_impulse(
         &self,
         frame: FrameId,
@@ -173,7 +174,7 @@ impl RobotModel {
         }
     }
 
-    /// Rows of the Jacobian of a point that moves with a frame.
+    /// Computes the rows of the Jacobian of a point fixed to a frame.
     fn point_rows(&self, frame: FrameId, point_w: DVec3, ws: &Workspace, rows: &mut [[f64; MAX_JOINTS]; 3]) {
         let mut joint = self.frames[frame.0].joint;
         while let Some(i) = joint {

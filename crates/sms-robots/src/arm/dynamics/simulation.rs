@@ -38,7 +38,7 @@ impl ArmSim {
         self.step_from(model, tau, dt, &first);
     }
 
-    /// [`Self::step`] from a state whose accelerations are known.
+    /// Like [`Self::step`], from a state with known accelerations.
     pub(crate) fn step_from(&mut self, model: &RobotModel, tau: &[f64], dt: f64, first: &JointVector) {
         let n = model.dof();
         let (q0, v0) = (self.q, self.qd);

@@ -50,8 +50,8 @@ impl StrikePlan {
 }
 
 /// Runs [`plan_sweep`], but accepts only sweeps whose start the arm can reach from home without a collision. Other
-/// postures, holds of the tool and descents are tried before a strike is refused. The approach is checked in coarse steps;
-/// [`crate::check_strike`] decides.
+/// postures, holds of the tool and descents are tried before the function fails. The approach is checked in coarse
+/// steps; [`crate::check_strike`] makes the final check.
 ///
 /// # Errors
 /// [`StrikeError`].
@@ -131,7 +131,7 @@ const COARSE: Detail = Detail { period_s: 0.02, settle: false, interval_s: 0.05 
 struct ApproachPath {
     approach: JointMotion,
     descent: JointMotion,
-    /// The first obstruction, if every approach has one: that of the highest descent.
+    /// The first obstruction on the highest descent, if every approach has one.
     blocked: Option<(Phase, Clearance)>,
 }
 
@@ -193,8 +193,8 @@ fn approach_path(
 /// Number of straight lifts at the beginning of [`ways_up`].
 const STRAIGHT_UP: usize = 4;
 
-/// Lifts from the start, metres in the world; descents are their reverse. Straight up by the configured height, a half, a
-/// quarter and an eighth of it, then slanted away from the struck body at 45°.
+/// Returns lifts from the start, metres in the world; descents are their reverse. The first go straight up by the
+/// configured height, a half, a quarter and an eighth of it. The others are slanted away from the struck body at 45°.
 fn ways_up(sweep: &Sweep, config: &StrikeConfig) -> Vec<DVec3> {
     let up = config.approach_height_m * sweep.up_w.normalize();
     let back = -config.approach_height_m * sweep.direction_w;

@@ -178,7 +178,7 @@ fn distances(
     clearance_m: f64,
     ws: &mut Workspace,
 ) -> Vec<CheckItem> {
-    // Distances up to here are exact, so that reported margins are too.
+    // Distances up to this value are exact, so that reported margins are exact as well.
     let enough = clearance_m + 0.05;
     let mut nearest: Vec<Option<(Clearance, Phase, f64)>> = vec![None; 1 + obstacles.len()];
     let mut poses = Vec::new();

@@ -42,8 +42,8 @@ impl ArmStrike {
         self.sweep.path(self.rotation_w)
     }
 
-    /// Returns the same strike at another place, with the same hold of the tool. `sweep_of` gives the sweep of a tool that
-    /// reaches the given number of metres ahead of its origin. The posture stays that of this strike.
+    /// Returns the same strike at another place, with the same hold of the tool. `sweep_of` returns the sweep of a tool
+    /// whose front is the given number of metres ahead of its origin. The posture of this strike is kept.
     pub fn moved_to(&self, sweep_of: impl FnOnce(f64) -> Sweep) -> Self {
         // Attitude of the tool in the frame of the sweep.
         let held = self.sweep.rotation_w().inverse() * self.rotation_w;
@@ -58,8 +58,8 @@ impl ArmStrike {
 }
 
 /// The arm under operational-space control through a sweep, from rest at its start. It can be advanced by steps of any
-/// length: the controller has its own clock, and its torques are held between its periods. External impulses change the
-/// joint speeds through the mass matrix; the controller reacts within its limits of torque and torque rate.
+/// length: the controller runs at its own period and holds its torques in between. External impulses change the joint
+/// speeds through the mass matrix; the controller reacts within its limits of torque and torque rate.
 #[derive(Debug, Clone)]
 pub struct SweepDrive {
     strike: ArmStrike,
@@ -178,8 +178,8 @@ impl SweepDrive {
         model.point_mobility(model.tool(), point_w, &mut self.ws)
     }
 
-    /// Applies an impulse (N·s) at a point of the tool as if it had acted `since_s` seconds ago. Engines that integrate with
-    /// the velocity at the end of a step have already moved the tool by it.
+    /// Applies an impulse (N·s) at a point of the tool as if it had acted `since_s` seconds ago. This suits engines
+    /// that integrate with the velocity at the end of a step: they have already moved the tool by this impulse.
     pub fn push(&mut self, point_w: DVec3, impulse_w: DVec3, since_s: f64) {
         let (model, n) = (&self.strike.model, self.strike.model.dof());
         let before = self.arm.qd;

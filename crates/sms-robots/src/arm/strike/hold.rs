@@ -29,12 +29,12 @@ impl Hold {
         sweep.rotation_w() * self.in_sweep()
     }
 
-    /// Distance from the tool's origin to the side in front, of a box of these half extents, metres.
+    /// Distance from the tool's origin to the front side of a box with these half extents, metres.
     pub(super) fn front_m(self, half: DVec3) -> f64 {
         if self.quarter_turns.is_multiple_of(2) { half.x } else { half.y }
     }
 
-    /// Returns the sweep for this hold, given that of the upright tool: the front touches at the same place.
+    /// Returns the sweep for this hold, given the sweep of the upright tool. The front touches at the same place.
     pub(super) fn sweep(self, sweep: &Sweep, half: DVec3) -> Sweep {
         let back = self.front_m(half) - half.x;
         Sweep { contact_w: sweep.contact_w - back * sweep.direction_w, ..*sweep }
@@ -65,11 +65,11 @@ pub(crate) fn groups(symmetric: bool, turned: bool) -> Vec<Vec<Hold>> {
     std::iter::once(upright).chain(groups.into_iter().flatten().map(|hold| vec![hold])).collect()
 }
 
-/// Number of intervals of a sweep at whose ends the tool alone is checked.
+/// Number of intervals of a sweep. The tool alone is checked at their ends.
 const PLACES: usize = 8;
 
-/// Where the tool comes too near an obstacle during a sweep, independently of the arm's posture. Checks the shapes of the
-/// links that are rigidly attached to the tool, and `striking`, a box about the tool's origin.
+/// Returns where the tool comes too close to an obstacle during a sweep, independently of the arm's posture. Checks the
+/// shapes of the links that are rigidly attached to the tool, and `striking`, a box about the tool's origin.
 pub(crate) fn tool_blocked(
     model: &RobotModel,
     path: &impl ToolPath,
@@ -116,7 +116,8 @@ mod tests {
             let sweep = hold.sweep(&upright, FIST_HALF);
             let front = sweep.contact_w + hold.front_m(FIST_HALF) * sweep.direction_w;
             assert!((front - touched).length() < 1e-12);
-            // In the tool's frame the sweep is parallel to one axis of the box and touches with its face.
+            // In the tool's frame, the sweep is parallel to one axis of the box, and a face of the box makes the
+            // contact.
             let along = hold.rotation_w(&sweep).inverse() * sweep.direction_w;
             assert!((along.abs().max_element() - 1.0).abs() < 1e-12, "{along}");
             assert!((along.abs().dot(FIST_HALF) - hold.front_m(FIST_HALF)).abs() < 1e-12);

@@ -237,14 +237,14 @@ pub(super) fn motor_torques(
     tau
 }
 
-/// Share of the speed limits below which a joint counts as at rest, and the longest wait for that, seconds.
+/// A joint is at rest below this share of its speed limit; the longest wait for this, seconds.
 const STILL: f64 = 2e-4;
 pub(crate) const SETTLE_S: f64 = 2.0;
 
-/// The motion of the joints under operational-space control along `path`, for a robot that matches its model exactly: from
-/// rest at `q`, which is also the null space's posture, in steps of about `period_s` (adjusted to divide the duration), by
-/// the midpoint rule. After the path's end the tool's reference is constant; the motion continues until the joints are at
-/// rest, for at most `settle_s` seconds.
+/// Integrates the motion of the joints under operational-space control along `path`, for a robot that matches its model
+/// exactly. The motion starts from rest at `q`, which is also the null-space posture, and uses the midpoint rule with
+/// steps of about `period_s` (adjusted to divide the duration). After the path's end, the tool's reference is constant,
+/// and the motion continues until the joints are at rest, for at most `settle_s` seconds.
 pub(crate) fn roll_out(
     model: &RobotModel,
     path: &dyn ToolPath,
@@ -361,11 +361,11 @@ pub(crate) struct JointMove<'a> {
 }
 
 impl JointMove<'_> {
-    /// Plans the fastest motion within the share of the limits. Where holding the arm's weight takes more torque than that
-    /// share, a tenth of the torque limit is added to the holding torque.
+    /// Plans the fastest motion within the share of the limits. If the torque that holds the arm exceeds this share,
+    /// the limit is the holding torque plus a tenth of the torque limit.
     ///
     /// # Errors
-    /// [`Infeasible`] when a posture on the way cannot even be held.
+    /// [`Infeasible`] when the arm cannot be held in a posture on the way.
     pub(crate) fn plan(&self, model: &RobotModel, ws: &mut Workspace) -> Result<JointMotion, Infeasible> {
         let Self { from, to, limit_share: share, torque_rate, period_s, .. } = *self;
         // The largest speed of the minimum-jerk motion is 15/8 of the mean.
@@ -401,7 +401,8 @@ impl JointMove<'_> {
         self.timed_while(model, duration, &|_| true, ws).0
     }
 
-    /// The motion of this duration with its uses, cut after the first sample at which the uses so far are not `allowed`.
+    /// Returns the motion of this duration with its uses. The motion is cut after the first sample at which the uses so
+    /// far are not `allowed`.
     fn timed_while(
         &self,
         model: &RobotModel,

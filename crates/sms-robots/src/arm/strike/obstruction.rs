@@ -5,7 +5,7 @@ use crate::arm::model::RobotModel;
 use crate::arm::shape::{Clearance, Obstacle};
 use crate::arm::strike::motion::JointMotion;
 
-/// The clearance that a motion keeps from obstacles and between its own links.
+/// Required clearance of a motion from obstacles and between links.
 #[derive(Clone, Copy)]
 pub(crate) struct ClearanceCheck<'a> {
     pub(crate) obstacles: &'a [Obstacle],
@@ -33,7 +33,7 @@ impl ClearanceCheck<'_> {
         })
     }
 
-    /// The nearest pair of a posture, when it is nearer than the clearance.
+    /// Returns the nearest pair of links, or link and obstacle, if it is closer than the clearance.
     pub(crate) fn violation(&self, model: &RobotModel, q: &[f64], ws: &mut Workspace) -> Option<Clearance> {
         let clearance_m = self.clearance_m;
         let mut poses = Vec::new();

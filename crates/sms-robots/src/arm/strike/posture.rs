@@ -8,8 +8,8 @@ use crate::arm::strike::sweep::Sweep;
 use glamx::DVec3;
 use sms_core::Cholesky;
 
-/// Continuation along a family of postures: the largest joint change per step, radians or metres, and the largest number of
-/// steps in each direction.
+/// Continuation along a family of postures: the largest joint change per step, radians or metres, and the largest
+/// number of steps in each direction.
 const STRIDE: f64 = 0.15;
 const MOST_STEPS: usize = 48;
 
@@ -97,7 +97,7 @@ fn idle_direction(
     Some(idle)
 }
 
-/// The joint speeds with least Σ (q̇ᵢ²/wᵢ) that give the tool the velocities `v` and `w`.
+/// Returns the joint speeds with the smallest Σ (q̇ᵢ²/wᵢ) that give the tool the velocities `v` and `w`.
 fn pull_back(jacobian: &Jacobian, weight: &JointVector, v: DVec3, w: DVec3) -> Option<JointVector> {
     let n = jacobian.dof;
     let mut gram = [[0.0; 6]; 6];
@@ -116,7 +116,7 @@ fn pull_back(jacobian: &Jacobian, weight: &JointVector, v: DVec3, w: DVec3) -> O
     Some(qd)
 }
 
-/// The joint speeds for given tool velocities with the least sum of squared shares of the speed limits.
+/// Returns the joint speeds for given tool velocities with the smallest sum of squared shares of the speed limits.
 pub(crate) fn easiest_speeds(
     model: &RobotModel,
     jacobian: &Jacobian,

@@ -32,8 +32,8 @@ pub struct ProgramPoint {
     pub qd: Vec<f64>,
     /// Torques of the motors with gravity and friction, N·m (N).
     pub tau: Vec<f64>,
-    /// Command for a robot whose joints control the torque behind the gear and compensate gravity and friction themselves:
-    /// M q̈ + C q̇ without rotor inertia, as libfranka's `Torques`.
+    /// Command for a robot with joint torque control behind the gear that compensates gravity and friction itself: M q̈
+    /// + C q̇ without rotor inertia, as libfranka's `Torques`.
     pub tau_command: Vec<f64>,
     /// Position of the tool in the world, metres.
     pub tool_position_w: [f64; 3],
@@ -205,8 +205,8 @@ impl StrikePlan {
         self.phases.iter().map(|(_, m)| m.duration_s()).sum()
     }
 
-    /// Returns phase and joint state at `time_s` seconds from the start of the approach. Between samples the positions are cubic
-    /// Hermite interpolants, and the torques those of the interpolated motion.
+    /// Returns the phase and the joint state at `time_s` seconds from the start of the approach. Between samples,
+    /// positions are cubic Hermite interpolants, and torques are those of the interpolated motion.
     pub fn at(&self, model: &RobotModel, time_s: f64, ws: &mut Workspace) -> (Phase, JointSample) {
         let mut rest = time_s.max(0.0);
         let last = self.phases.len() - 1;
@@ -236,7 +236,7 @@ impl StrikePlan {
             }
             return (*phase, s);
         }
-        // Not reached: the last phase always returns.
+        // Unreachable: the last phase always returns.
         (Phase::Lift, self.phases[last].1.samples[0])
     }
 }

@@ -41,9 +41,9 @@ impl<'a> SweepCandidate<'a> {
         self.meter.largest()
     }
 
-    /// Removes and returns the sweep that uses the smallest share of any limit to its end, the first among equals; `None` if
-    /// none is left. The share never decreases along a sweep, so the others need not be computed beyond that share. (A sweep
-    /// that diverges may decrease; it breaks a limit in any case.)
+    /// Removes and returns the sweep with the smallest limit share at its end, the first among equals; `None` if none
+    /// is left. The share never decreases along a sweep, so a sweep is advanced only until its share exceeds that of
+    /// the best one. (The share of a diverging sweep may decrease, but such a sweep exceeds a limit in any case.)
     pub(crate) fn take_best(all: &mut Vec<Self>, law: &mut TaskLaw) -> Option<Self> {
         loop {
             let least =
@@ -137,7 +137,7 @@ mod tests {
             }
             assert!(SweepCandidate::take_best(&mut running, &mut law).is_none());
         }
-        // Fails if no case exercises the ordering or the early stop.
+        // Fails if no case tests the ordering or the early stop.
         assert!(orders > 50 && saved > 20, "{orders} {saved}");
     }
 

@@ -24,7 +24,7 @@ pub struct StrikeConfig {
     pub osc: OscConfig,
     /// Inverse kinematics at the contact; arms of six joints or fewer get eight times as many starts.
     pub ik: IkConfig,
-    /// Number of postures whose sweep is computed.
+    /// Number of postures for which a sweep is computed.
     pub candidates: usize,
     /// Whether the tool may be rotated about its z axis: by half a turn, and with `turned_tool` by a quarter.
     pub symmetric_tool: bool,
@@ -63,13 +63,13 @@ impl Default for StrikeConfig {
     }
 }
 
-/// Largest number of rounds of `candidates` postures, while sweeps are feasible but their start is not reachable.
+/// Largest number of rounds of `candidates` postures, if sweeps are feasible but their start is not reachable.
 const MOST_ROUNDS: usize = 3;
 
 /// A sweep that uses less than this share of every limit in coarse steps stays within them in fine steps.
 pub(crate) const COARSE_ENOUGH: f64 = 0.8;
 
-/// Largest distance that another hold moves the wrist, metres.
+/// Largest distance by which another hold moves the wrist, metres.
 const HOLD_REACH_M: f64 = 0.15;
 
 /// Why a strike cannot be executed.
@@ -106,8 +106,8 @@ pub enum StrikeError {
 }
 
 impl StrikeError {
-    /// Whether another hold of the tool may succeed. Speeds and torques hardly depend on the hold, and neither does a target
-    /// far out of reach.
+    /// Returns whether another hold of the tool may succeed. Speeds and torques hardly depend on the hold. No hold
+    /// reaches a target far out of reach.
     fn depends_on_the_hold(&self) -> bool {
         match self {
             Self::Unreachable(e) => e.position_error_m < HOLD_REACH_M,
@@ -117,7 +117,7 @@ impl StrikeError {
         }
     }
 
-    /// The reason without numbers, for counting.
+    /// Returns the reason without numbers, for counting.
     pub fn reason(&self) -> String {
         match self {
             Self::Unreachable(_) => "no posture reaches it".to_owned(),
@@ -140,7 +140,7 @@ impl StrikeError {
         }
     }
 
-    /// The remedy.
+    /// Returns the remedy.
     pub fn cure(&self) -> &'static str {
         match self {
             Self::Unreachable(_) => {
@@ -171,7 +171,8 @@ impl StrikeError {
 /// A feasible sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweepPlan {
-    /// The requested sweep. For a hold other than upright it is shifted so that the side in front touches at the same place.
+    /// The requested sweep. For a hold other than upright, it is shifted so that the front side touches at the same
+    /// place.
     pub sweep: Sweep,
     /// Attitude of the tool.
     pub rotation_w: DQuat,
@@ -197,13 +198,13 @@ impl SweepPlan {
     }
 }
 
-/// Plans the joint motion of a sweep. Postures at the contact come from inverse kinematics; from each, the controller's law
-/// is integrated from start to end, and the motion farthest from all limits is taken. If the upright tool fails because of a
-/// collision or a position limit, the tool is rotated by a quarter turn or leaned to a side.
+/// Plans the joint motion of a sweep. Postures at the contact come from inverse kinematics; from each, the control law
+/// is integrated over the sweep, and the motion farthest from all limits is returned. If the upright tool fails because
+/// of a collision or a position limit, the tool is rotated by a quarter turn or leaned to a side.
 ///
 /// # Errors
-/// [`StrikeError`] of the posture that came nearest to success with the upright tool, or of a hold that failed only at a
-/// limit that no hold avoids.
+/// [`StrikeError`] of the posture that came closest to success with the upright tool, or of a hold that failed at a
+/// limit that no hold can avoid.
 pub fn plan_sweep(
     model: &RobotModel,
     sweep: &Sweep,
@@ -218,7 +219,7 @@ pub fn plan_sweep(
 #[derive(Clone, Copy)]
 pub(crate) struct ReachProblem<'a> {
     pub(crate) model: &'a RobotModel,
-    /// The sweep of a tool that is held upright.
+    /// The sweep of an upright tool.
     pub(crate) sweep: &'a Sweep,
     pub(crate) obstacles: &'a [Obstacle],
     pub(crate) config: &'a StrikeConfig,
@@ -240,8 +241,8 @@ impl<'a> ReachProblem<'a> {
 /// Accepts a feasible sweep, or returns the reason to refuse it.
 pub(crate) type Accept<'a> = &'a dyn Fn(&SweepPlan, &mut Workspace) -> Result<(), StrikeError>;
 
-/// [`plan_sweep`] that skips sweeps which `accept` refuses, as it skips those that break a limit, and tries other postures
-/// and holds. With `accept`, a sweep that stays far from all limits keeps its motion of coarse steps.
+/// Like [`plan_sweep`], but also skips sweeps that `accept` rejects, and then tries other postures and holds. With
+/// `accept`, a sweep that stays far from all limits keeps its motion of coarse steps.
 pub(crate) fn plan_sweep_where(
     problem: &ReachProblem<'_>,
     accept: Option<Accept<'_>>,
@@ -250,7 +251,7 @@ pub(crate) fn plan_sweep_where(
     let config = problem.config;
     refuse_nonsense(problem.sweep, config)?;
     let mut upright: Option<StrikeError> = None;
-    // There are many other holds: spends less on each.
+    // There are many other holds, so each gets fewer starts.
     let ik = IkConfig { starts: config.ik.starts.div_ceil(2), ..config.ik };
     let fewer = StrikeConfig { ik, candidates: config.candidates.div_ceil(2), ..config.clone() };
     for holds in groups(config.symmetric_tool, config.turned_tool) {
@@ -268,7 +269,7 @@ pub(crate) fn plan_sweep_where(
     Err(upright.unwrap_or_else(|| StrikeError::Invalid { what: "no hold of the tool was tried".to_owned() }))
 }
 
-/// Runs [`plan_sweep`] for some holds of the tool. The error says whether another hold may succeed.
+/// Runs [`plan_sweep`] for several holds of the tool. The error says whether another hold may succeed.
 fn plan_held(
     problem: &ReachProblem<'_>,
     holds: &[Hold],
@@ -305,7 +306,7 @@ fn plan_held(
     let mut all = all.into_iter();
     let mut law = TaskLaw::default();
     for round in 1..=MOST_ROUNDS {
-        // Refusals by posture; `None` while undecided or feasible.
+        // Errors by posture; `None` while undecided or feasible.
         let mut refusals: Vec<Option<(f64, StrikeError)>> = Vec::new();
         let mut running: Vec<(usize, SweepPath, Vec<f64>)> = Vec::new();
         while followed.len() < round * config.candidates.max(1) {
@@ -341,7 +342,7 @@ fn plan_held(
                 Ok(plan) => match refined(problem, plan, badness, accept, ws) {
                     Ok(plan) => return Ok(plan),
                     Err(e) => {
-                        // Nearer to success than a sweep that exceeds a limit.
+                        // Closer to success than a sweep that exceeds a limit.
                         let could_be_made = !matches!(e, StrikeError::Infeasible(_));
                         unstartable |= could_be_made;
                         late.push((if could_be_made { f64::NEG_INFINITY } else { f64::INFINITY }, e));

@@ -104,7 +104,6 @@ pub(super) struct Inertial {
 }
 
 impl Inertial {
-    /// Whether mass and inertia are all zero.
     pub(super) fn is_nothing(&self) -> bool {
         self.mass == 0.0 && self.inertia == DMat3::ZERO
     }
