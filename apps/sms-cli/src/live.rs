@@ -1,9 +1,9 @@
-//! `--live`: who watches a scan.
+//! `--live`: streaming of a scan to a viewer.
 
 use sms_gaussians::{BatchDone, ScanObserver, SlotDone};
 use std::path::Path;
 
-/// Who watches; nobody without `--live`.
+/// Observer of a scan; does nothing without `--live`.
 pub(crate) struct Watch {
     #[cfg(feature = "rerun")]
     viewer: Option<sms_report::LiveScan>,
@@ -11,7 +11,7 @@ pub(crate) struct Watch {
 
 #[cfg(feature = "rerun")]
 impl Watch {
-    /// What `--live[=ADDR]` asks for.
+    /// Starts the viewer of `--live[=ADDR]`.
     pub(crate) fn start(address: Option<&str>, recording: &Path) -> anyhow::Result<Self> {
         let Some(address) = address else { return Ok(Self { viewer: None }) };
         let viewer = match address {
@@ -21,13 +21,13 @@ impl Watch {
         let name = recording.file_name().map_or_else(|| "scan".into(), |n| n.to_string_lossy().into_owned());
         match sms_report::LiveScan::start(&viewer, &name) {
             Ok(scan) => Ok(Self { viewer: Some(scan) }),
-            // As such, so that the exit code is that of bad input.
+            // Returned as `InputError`, so that the exit code is that of bad input.
             Err(sms_report::LiveError::Input(e)) => Err(e.into()),
             Err(other) => Err(other.into()),
         }
     }
 
-    /// Waits until the viewer has everything; what went wrong, if anything did.
+    /// Waits until the viewer has received all data; returns the error, if any.
     pub(crate) fn finish(self) -> Option<String> {
         self.viewer.and_then(|v| v.finish().err()).map(|e| e.to_string())
     }
@@ -35,20 +35,20 @@ impl Watch {
 
 #[cfg(not(feature = "rerun"))]
 impl Watch {
-    /// Without the feature there is no viewer to stream to.
+    /// Returns an error for `--live`, which needs the feature `rerun`.
     pub(crate) fn start(address: Option<&str>, _recording: &Path) -> anyhow::Result<Self> {
         match address {
             None => Ok(Self {}),
             Some(_) => Err(sms_core::InputError::new(
                 "this `sms` was built without the Rerun viewer",
                 "--live",
-                "build it with the feature (some ten minutes): cargo install --path apps/sms-cli --features rerun",
+                "build it with the feature (about ten minutes): cargo install --path apps/sms-cli --features rerun",
             )
             .into()),
         }
     }
 
-    /// Nothing can have gone wrong.
+    /// Returns no error.
     pub(crate) fn finish(self) -> Option<String> {
         None
     }

@@ -1,7 +1,7 @@
 //! The command `sms`: from a posed RGB-D recording to a simulated scene, a plan, an execution and a report.
 //!
 //! One file per command: each calls [`sms_pipeline`] and prints the outcome. Exit codes: 0 done, 2 bad input, 130
-//! interrupted (run the same command again to resume), 1 any other failure, and a fault that `sms check` found.
+//! interrupted (run the same command again to resume), 1 any other failure or a fault found by `sms check`.
 
 mod cli;
 mod commands;
@@ -15,7 +15,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let mut arguments = Arguments::parse();
     if let Command::Materials(a) = &mut arguments.command {
-        // This command's `--set` is about objects, not about settings.
+        // The `--set` of this command sets values of objects, not settings.
         a.set = std::mem::take(&mut arguments.common.assignments);
     }
     let console = match Console::new(&arguments.common, matches!(arguments.command, Command::Demo(_))) {

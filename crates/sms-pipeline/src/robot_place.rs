@@ -39,8 +39,7 @@ impl RobotPlace {
 /// [`Error::Core`] if the file cannot be written.
 pub fn write_robot_place(recording: &Path, robot: &RobotConfig) -> Result<(), Error> {
     let text = toml::to_string(&Sections { robot: robot.clone() })?;
-    let head =
-        "# Pose of the robot in front of this recording's scene, as from a hand-eye calibration.\n";
+    let head = "# Pose of the robot in front of this recording's scene, as from a hand-eye calibration.\n";
     Ok(atomic::write_bytes(&recording.join(ROBOT_FILE), format!("{head}{text}").as_bytes())?)
 }
 

@@ -1,4 +1,4 @@
-//! `sms check`: does the recording agree with its own statements?
+//! `sms check`: checks the consistency of a recording.
 
 use crate::cli::CheckArguments;
 use sms_cli::front::Console;
@@ -17,6 +17,6 @@ pub(crate) fn run(console: &Console, a: &CheckArguments) -> anyhow::Result<ExitC
     } else {
         console.say(report.to_text());
     }
-    // 2 means that the recording cannot be read; a fault in its content is 1.
+    // Exit code 2 means that the recording cannot be read; a fault in its content gives 1.
     Ok(if report.approved() { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }

@@ -1,4 +1,4 @@
-//! `sms demo`: the whole flow on a generated scene.
+//! `sms demo`: runs all stages on a generated scene.
 
 use super::{evaluate, execute, materialize, plan, report, scan, simulate};
 use crate::cli::{self, DemoArguments, DemoName};
@@ -12,7 +12,7 @@ use sms_synth::{
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Every eighth frame is held out, so that quality is measured on views that were not trained on.
+/// Interval of the held-out frames, on which quality is measured.
 const HOLDOUT: usize = 8;
 
 pub(crate) fn run(console: &Console, a: &DemoArguments) -> anyhow::Result<()> {
@@ -42,7 +42,7 @@ pub(crate) fn run(console: &Console, a: &DemoArguments) -> anyhow::Result<()> {
     }
     console.say(format!("report:    {}", page.display()));
     console.say(format!(
-        "           ({:.0} s in all; `sms view {}` opens it)",
+        "           ({:.0} s in total; `sms view {}` opens it)",
         began.elapsed().as_secs_f64(),
         root.display()
     ));
@@ -52,8 +52,7 @@ pub(crate) fn run(console: &Console, a: &DemoArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Records the scene: billiards from above, or a structure filmed from a helix whose straight flight would lead over its
-/// overhang.
+/// Records the scene: billiards from above, or a structure from a helix, with a straight flight across its overhang.
 fn record(
     console: &Console,
     a: &DemoArguments,
@@ -80,7 +79,7 @@ fn record(
     Ok(write_task_files(&truth, folder)?)
 }
 
-/// Folders of the run and its recording; a folder with other content is refused.
+/// Returns the folders of the run and its recording; refuses a folder with other content.
 fn folders(a: &DemoArguments, name: &str) -> anyhow::Result<(PathBuf, PathBuf)> {
     let root = a.out.clone().unwrap_or_else(|| {
         PathBuf::from("runs").join(format!("{name}-{}{}", a.seed, if a.quick { "-quick" } else { "" }))
@@ -88,19 +87,19 @@ fn folders(a: &DemoArguments, name: &str) -> anyhow::Result<(PathBuf, PathBuf)> 
     let recording = root.join("recording");
     let occupied = root.read_dir().is_ok_and(|mut entries| entries.next().is_some());
     if occupied && !recording.exists() {
-        let what = "this folder holds something else";
+        let what = "this folder has other content";
         return Err(InputError::new(what, &root, "name a new folder with --out").into());
     }
     Ok((root, recording))
 }
 
-/// Scans, materializes, and leaves the scene alone: two seconds for a structure, which may take long to fall.
+/// Scans, materializes, and simulates the scene at rest: two seconds for a structure, which may fall slowly.
 fn reconstruct(console: &Console, a: &DemoArguments, root: &Path, recording: &Path) -> anyhow::Result<()> {
     let is_billiards = a.name == DemoName::Billiards;
     let arguments = cli::ScanArguments {
         recording: recording.to_owned(),
         out: root.to_owned(),
-        // At 200 pixels, an object on a ladder cannot be told from the ladder.
+        // At 200 pixels, an object on a ladder merges with the ladder.
         preset: a.preset.or((a.quick && is_billiards).then_some(PresetName::Draft)),
         masks: a.masks,
         nets: cli::NetsArguments::default(),

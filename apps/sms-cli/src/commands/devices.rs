@@ -1,4 +1,4 @@
-//! `sms devices`: what can compute a scan.
+//! `sms devices`: lists the devices for a scan.
 
 use sms_cli::front::Console;
 use sms_core::metrics::Metrics;
@@ -29,7 +29,7 @@ fn gpus(console: &Console, metrics: &mut Metrics) {
                 None => (true, format!("agrees with the CPU: {check}")),
             },
         };
-        let kind = if adapter.software { ", software on the CPU: only when named" } else { "" };
+        let kind = if adapter.software { ", software on the CPU: used only if selected" } else { "" };
         console.say(format!(
             "gpu:{:<4} {} ({}, {}{kind})",
             adapter.index, adapter.name, adapter.backend, adapter.driver
@@ -49,5 +49,5 @@ fn gpus(console: &Console, metrics: &mut Metrics) {
 #[cfg(not(feature = "gpu"))]
 fn gpus(console: &Console, metrics: &mut Metrics) {
     metrics.set("devices.gpu.count", 0);
-    console.say("this program was built without GPUs (`--features gpu`)");
+    console.say("this program was built without GPU support (`--features gpu`)");
 }

@@ -1,4 +1,4 @@
-//! `sms evaluate`: the reconstruction against known models, or against the truth of a generated recording.
+//! `sms evaluate`: compares the reconstruction with known models, or with the ground truth of a generated recording.
 
 use crate::cli::EvaluateArguments;
 use sms_cli::front::Console;
@@ -12,7 +12,7 @@ pub(crate) fn run(console: &Console, a: &EvaluateArguments) -> anyhow::Result<()
     for c in &outcome.comparisons {
         console.say(match (outcome.is_truth, c.sphere) {
             (true, Some((center, radius))) => format!(
-                "{:>12} is {}: centre off by {}, radius by {}",
+                "{:>12} is {}: centre error {}, radius error {}",
                 c.entity,
                 c.description,
                 length_text(center),
@@ -24,7 +24,7 @@ pub(crate) fn run(console: &Console, a: &EvaluateArguments) -> anyhow::Result<()
     }
     if let Some((moved, turned, seconds)) = outcome.drift {
         console.say(format!(
-            "left alone for {seconds} s, nothing moves more than {} or turns more than {:.2}°",
+            "at rest for {seconds} s, bodies move at most {} and turn at most {:.2}°",
             length_text(moved),
             turned.to_degrees()
         ));
@@ -32,7 +32,7 @@ pub(crate) fn run(console: &Console, a: &EvaluateArguments) -> anyhow::Result<()
     console.print_metrics(&run)
 }
 
-/// The figures in words, lengths in millimetres.
+/// Formats the scores.
 fn words(c: &Comparison) -> String {
     let scores = &c.scores;
     let mut text = format!(
@@ -46,7 +46,7 @@ fn words(c: &Comparison) -> String {
     );
     if let Some(s) = &c.solid {
         text += &format!(
-            "; volume × {:.2}, mass centre off by {}, inertia by {:.1} %",
+            "; volume × {:.2}, mass centre error {}, inertia error {:.1} %",
             s.volume_ratio,
             length_text(s.mass_center_error_m),
             100.0 * s.inertia_error

@@ -1,4 +1,4 @@
-//! `sms execute`: the plan in the target world.
+//! `sms execute`: executes the plan in the target world.
 
 use super::{landing, objective_reference};
 use crate::cli::{ArmName, ExecuteArguments};
@@ -35,7 +35,7 @@ pub(crate) fn show(console: &Console, outcome: &ExecuteOutcome) {
     ));
     console.say(match &e.predicted {
         Some(p) => format!(
-            "  predicted {} on average, {} in 9 of 10 worlds, {} in the scanned one; {}",
+            "  predicted {} on average, within {} in 90 % of worlds, {} in the scanned one; {}",
             length_text(p.mean),
             length_text(p.q90),
             length_text(p.nominal),

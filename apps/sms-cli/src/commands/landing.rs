@@ -26,7 +26,7 @@ pub(super) fn show_plan(console: &Console, plan: &LandingPlan, dir: &Path) {
     });
     let e = plan.evaluations;
     console.say(format!(
-        "  {} rollouts with jets, {} with particles, {} of them not valid",
+        "  {} rollouts with jets, {} with particles, {} of them invalid",
         e.jet, e.sph, e.invalid
     ));
     let mission = if dir.join("mission.plan").is_file() { ", mission.plan" } else { "" };
@@ -45,7 +45,7 @@ pub(super) fn show_execution(console: &Console, execution: &LandingExecution, di
 
 fn verdict(outcome: &LandingOutcome) -> String {
     match &outcome.failure {
-        None => format!("success, {} from the chosen point", length_text(outcome.landing_error_m)),
+        None => format!("success, {} from the landing point", length_text(outcome.landing_error_m)),
         Some(failure) if outcome.is_toppled_by_wash() => format!("{failure}, by the wash alone"),
         Some(failure) => failure.to_string(),
     }

@@ -1,4 +1,4 @@
-//! `sms masks`: the masks of a run, and detections in its first frame.
+//! `sms masks`: lists the masks of a run, and detections in its first frame.
 
 use crate::cli::MasksArguments;
 use sms_cli::front::Console;

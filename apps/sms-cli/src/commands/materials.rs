@@ -1,4 +1,4 @@
-//! `sms materials`: the materials of the objects, and the user's edits.
+//! `sms materials`: lists and edits the materials of the objects.
 
 use crate::cli::MaterialsArguments;
 use sms_cli::front::Console;
@@ -25,7 +25,7 @@ pub(crate) fn run(console: &Console, a: &MaterialsArguments) -> anyhow::Result<(
     Ok(())
 }
 
-/// A table with one line a value.
+/// Formats a table with one line per value.
 fn listing(objects: &[ObjectQuery], materials: &[Material]) -> String {
     let mut out = String::new();
     for (object, material) in objects.iter().zip(materials) {
@@ -50,7 +50,7 @@ fn listing(objects: &[ObjectQuery], materials: &[Material]) -> String {
     out
 }
 
-/// A number in four digits.
+/// Formats a number with four digits.
 fn number(x: f64) -> String {
     if x == 0.0 {
         return "0".into();

@@ -21,7 +21,7 @@ pub(crate) mod simulate;
 pub(crate) mod synth;
 pub(crate) mod view;
 
-/// The reference of an objective in metres, by the kind of task.
+/// Returns the reference of an objective in metres, by the kind of task.
 fn objective_reference(task: &str) -> &'static str {
     if task == "billiards" { "from the goal" } else { "in all terms" }
 }

@@ -1,4 +1,4 @@
-//! `sms models`: the networks.
+//! `sms models`: lists and fetches the networks.
 
 use crate::cli::ModelsArguments;
 use sms_cli::front::Console;

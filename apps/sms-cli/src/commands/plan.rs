@@ -1,4 +1,4 @@
-//! `sms plan`: the best action for a task.
+//! `sms plan`: searches for the best action for a task.
 
 use super::{landing, objective_reference};
 use crate::cli;
@@ -35,14 +35,14 @@ pub(crate) fn show(console: &Console, planned: &PlannedTask) {
     }
 }
 
-/// Prediction, other strategies, reasons and sensitivities, in lines.
+/// Returns lines with the prediction, the strategies, the reasons and the sensitivities.
 fn summary(plan: &Plan) -> Vec<String> {
     let mut lines = Vec::new();
     let reference = objective_reference(&plan.task);
     match &plan.predicted {
         Some(p) => lines.push(format!(
-            "  predicted {} {reference} on average ({} in 9 of 10 worlds), {} in the scanned world; success in {:.0} % of {} \
-             worlds",
+            "  predicted {} {reference} on average (within {} in 90 % of worlds), {} in the scanned world; success in {:.0} % of \
+             {} worlds",
             length_text(p.mean),
             length_text(p.q90),
             length_text(plan.objective),
@@ -52,8 +52,8 @@ fn summary(plan: &Plan) -> Vec<String> {
         None => {
             let failure = plan.strategies.first().and_then(|s| s.failure_text());
             let elsewhere = failure.map_or_else(
-                || "other worlds were not simulated".to_owned(),
-                |text| format!("in perturbed ones it {text}"),
+                || "not tested in perturbed ones".to_owned(),
+                |text| format!("the plan {text}"),
             );
             lines.push(format!(
                 "  predicted {} {reference} in the scanned world; {elsewhere}",
@@ -90,12 +90,12 @@ fn summary(plan: &Plan) -> Vec<String> {
         .map(|s| format!("{s} ({:.0} %, {})", 100.0 * s.share, length_text(s.change)))
         .collect();
     if !sensitive.is_empty() {
-        lines.push(format!("  largest sensitivities, each alone: {}", sensitive.join(", ")));
+        lines.push(format!("  largest sensitivities: {}", sensitive.join(", ")));
     }
     let invalid =
-        if plan.invalid > 0 { format!(", {} of them not valid", plan.invalid) } else { String::new() };
+        if plan.invalid > 0 { format!(", {} of them invalid", plan.invalid) } else { String::new() };
     lines.extend(plan.refused_text().map(|text| format!("  {text}")));
     lines.push(format!("  {} rollouts{invalid}", plan.evaluations));
-    lines.extend(plan.failure_text().map(|text| format!("    not valid: {text}")));
+    lines.extend(plan.failure_text().map(|text| format!("    invalid: {text}")));
     lines
 }

@@ -1,4 +1,4 @@
-//! `sms report`: one page with everything that the run has.
+//! `sms report`: writes the report page of a run.
 
 use crate::cli::ReportArguments;
 use sms_cli::front::Console;

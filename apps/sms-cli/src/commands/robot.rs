@@ -1,4 +1,4 @@
-//! `sms robot`: the arm's motion for the planned strike, with its checks.
+//! `sms robot`: plans and checks the arm's motion for the planned strike.
 
 use crate::cli::RobotArguments;
 use sms_cli::front::Console;
@@ -16,8 +16,8 @@ pub(crate) fn run(console: &Console, a: &RobotArguments) -> anyhow::Result<()> {
     }
     if outcome.is_elsewhere_in_settings {
         console.say(
-            "  note: the settings place the robot elsewhere than the plan does; the plan's place is checked. Plan again, \
-             or give --at",
+            "  note: the robot's pose in the settings differs from the plan; the check uses the plan's pose. Plan again, \
+             or use --at",
         );
     }
     for item in &outcome.check.items {
@@ -41,7 +41,7 @@ pub(crate) fn run(console: &Console, a: &RobotArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A pose from "x,y,z,yaw in degrees".
+/// Parses a pose from "x,y,z,yaw in degrees".
 fn pose_of(text: &str) -> Result<DPose3, InputError> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|v| v.trim().parse::<f64>()).collect();
     match numbers.as_deref() {
@@ -50,9 +50,9 @@ fn pose_of(text: &str) -> Result<DPose3, InputError> {
             Ok(DPose3::from_parts(DVec3::new(x, y, z), turn))
         }
         _ => Err(InputError::new(
-            format!("`{text}` is not a place of a robot"),
+            format!("`{text}` is not a pose of a robot"),
             "--at",
-            "give x, y and z in metres and the yaw in degrees, such as --at -0.2,0,0,0",
+            "use x, y and z in metres and the yaw in degrees, such as --at -0.2,0,0,0",
         )),
     }
 }

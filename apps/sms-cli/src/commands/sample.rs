@@ -1,4 +1,4 @@
-//! `sms sample`: a small generated recording with a task.
+//! `sms sample`: writes a small generated recording with a task.
 
 use crate::cli::SampleArguments;
 use sms_cli::front::Console;
@@ -17,7 +17,7 @@ pub(crate) fn run(console: &Console, a: &SampleArguments) -> anyhow::Result<()> 
     write_recording(&truth, &settings, &a.folder, context.progress.as_ref(), &context.cancel)?;
     write_task_files(&truth, &a.folder)?;
     let folder = a.folder.display();
-    console.say(format!("a recording of {} objects in {folder}; now try", truth.objects.len()));
+    console.say(format!("wrote a recording of {} objects to {folder}; next steps:", truth.objects.len()));
     console.say(format!("  sms check {folder}"));
     console.say(format!("  sms scan {folder} --out my-run --preset draft --holdout 8"));
     console.say("  sms materialize my-run");

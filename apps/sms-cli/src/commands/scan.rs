@@ -30,7 +30,7 @@ pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
 fn direction(values: &[f64]) -> Result<[f64; 3], InputError> {
     values.try_into().map_err(|_| {
         let what = format!("{values:?} is not a direction");
-        InputError::new(what, "--up", "give three numbers that are not all zero, such as --up 0,0,1")
+        InputError::new(what, "--up", "use three numbers that are not all zero, such as --up 0,0,1")
     })
 }
 

@@ -1,4 +1,4 @@
-//! `sms settings`: all settings in force, as a file for `--settings`.
+//! `sms settings`: prints all effective settings, as a file for `--settings`.
 
 use crate::cli::SettingsArguments;
 use sms_cli::front::{Console, PresetName};

@@ -1,4 +1,4 @@
-//! `sms simulate`: does the scene rest?
+//! `sms simulate`: simulates the scene at rest.
 
 use crate::cli::SimulateArguments;
 use sms_cli::front::Console;

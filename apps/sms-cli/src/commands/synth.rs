@@ -1,4 +1,4 @@
-//! `sms synth`: a generated recording of any scene.
+//! `sms synth`: writes a generated recording of any scene.
 
 use crate::cli::{FamilyName, SynthArguments};
 use sms_cli::front::Console;
@@ -43,14 +43,14 @@ pub(crate) fn run(console: &Console, a: &SynthArguments) -> anyhow::Result<()> {
 fn scene(console: &Console, a: &SynthArguments) -> anyhow::Result<ModelScene> {
     let plain = |scene| ModelScene { scene, skins: Vec::new() };
     if a.meshes.is_some() && !matches!(a.family, FamilyName::Billiards | FamilyName::Landing) {
-        let what = "scanned models stand in scenes of the families billiards and landing only";
+        let what = "only the families billiards and landing use scanned models";
         let cure = "add --family billiards or --family landing, or leave it out";
         return Err(InputError::new(what, "--meshes", cure).into());
     }
     let models = match &a.meshes {
         Some(dir) if dir.is_dir() => read_models(dir)?,
         Some(dir) => {
-            console.say(format!("there is no folder {}: every object is generated", dir.display()));
+            console.say(format!("the folder {} does not exist: all objects are generated", dir.display()));
             Vec::new()
         }
         None => Vec::new(),
@@ -75,7 +75,7 @@ fn scene(console: &Console, a: &SynthArguments) -> anyhow::Result<ModelScene> {
         }
         FamilyName::Fixed => {
             let fixed = FIXED_SCENES.iter().find(|s| s.number as u64 == a.seed).ok_or_else(|| {
-                InputError::new("there is no such fixed scene", "--seed", "give a number from 1 to 18")
+                InputError::new("this fixed scene does not exist", "--seed", "use a number from 1 to 18")
             })?;
             Ok(plain(fixed.generate()))
         }

@@ -27,7 +27,7 @@ impl Progress for Bars {
     fn begin(&self, part: &str, units: u64) {
         let bar = if units > 0 { ProgressBar::new(units) } else { ProgressBar::new_spinner() };
         bar.set_draw_target(ProgressDrawTarget::stderr_with_hz(5));
-        // The time left is part of the message: work that may end early knows it better than the bar.
+        // The time left is part of the message, because the bar cannot estimate it for work that may end early.
         let shape = if units > 0 {
             "{prefix:>22} {bar:24.cyan/dim} {percent:>3} % {elapsed} {wide_msg}"
         } else {

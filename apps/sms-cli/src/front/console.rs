@@ -9,10 +9,10 @@ use sms_pipeline::{Context, Event, EventSink, Run, Settings};
 use std::io::{IsTerminal, Write};
 use std::time::Duration;
 
-/// Least time between two updates of `--progress json`.
+/// Smallest time between two updates of `--progress json`.
 const JSON_EVERY: Duration = Duration::from_millis(100);
 
-/// One invocation of a program: its context, and how it prints.
+/// One invocation of a program: its context and its output options.
 pub struct Console {
     /// Progress, interruption and settings.
     pub context: Context,
@@ -26,7 +26,7 @@ impl Console {
     /// Starts the thread pool, listens for Ctrl-C and reads the settings.
     ///
     /// # Errors
-    /// When threads or the handler cannot be started, and for wrong settings.
+    /// If threads or the handler cannot be started, or for invalid settings.
     pub fn new(common: &Common, part_of_a_flow: bool) -> anyhow::Result<Self> {
         if let Some(threads) = common.threads {
             rayon::ThreadPoolBuilder::new()
@@ -69,16 +69,16 @@ impl Console {
         }
     }
 
-    /// Prints the text that a command was asked for.
+    /// Prints the text that the user requested.
     pub fn print(&self, text: impl std::fmt::Display) {
-        // Whoever closed the pipe has read enough.
+        // Ignores a closed pipe.
         let _ = writeln!(std::io::stdout(), "{text}");
     }
 
     /// With `--json`, prints all metrics of the run (once, at the end of a flow of several commands).
     ///
     /// # Errors
-    /// When they cannot be read.
+    /// If they cannot be read.
     pub fn print_metrics(&self, run: &Run<'_>) -> anyhow::Result<()> {
         if self.json && !self.part_of_a_flow {
             self.print_json(&run.metrics()?)?;
@@ -89,7 +89,7 @@ impl Console {
     /// Prints a metrics object as JSON.
     ///
     /// # Errors
-    /// When a value has no form in JSON.
+    /// If a value cannot be represented in JSON.
     pub fn print_json(&self, metrics: &Metrics) -> anyhow::Result<()> {
         let map: serde_json::Map<_, _> = metrics.iter().map(|(k, v)| (k.clone(), v.clone())).collect();
         let _ = writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&map)?);
