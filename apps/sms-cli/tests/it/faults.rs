@@ -286,7 +286,7 @@ fn any_seed_does_reports_only_read_and_damaged_files_are_named() {
     assert!(quick_scan(sample(), &run, &more).status.success());
     assert_eq!((stamp("frames"), stamp("gaussians")), before);
 
-    // While somebody writes to the run, a report can be made of what is there.
+    // While another process writes to the run, a report of its current content can be written.
     let path = run.to_str().unwrap();
     let writer = sms_core::RunFolder::open(&run).unwrap();
     let report = sms(&["report", path]);

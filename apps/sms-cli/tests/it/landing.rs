@@ -1,5 +1,5 @@
-//! A landing from a recording to the target world, and one that cannot be planned: the reason is told, stands in the report, and no
-//! earlier plan is taken for it.
+//! A landing from a recording to the target world, and one that cannot be planned: the reason is printed and shown in
+//! the report, and no earlier plan is taken for it.
 
 use crate::common::{done, said, sms};
 use std::fs;

@@ -1,4 +1,4 @@
-//! What edits of `masks/labels.json` have done again, and what `sms masks --preview` shows.
+//! Stages that edits of `masks/labels.json` repeat, and the output of `sms masks --preview`.
 
 use crate::common::{done, sms};
 use std::fs;
@@ -54,7 +54,7 @@ fn other_names_leave_the_gaussians_and_merged_objects_do_not() {
     assert!(entities.join("tin").is_dir() && !entities.join("object_01").exists());
 }
 
-/// Boxes by hand need no detector, so that no weights are needed to see when what is drawn.
+/// Manual boxes need no detector and thus no weights: the test covers the time and content of the drawing.
 #[cfg(feature = "nets")]
 #[test]
 fn what_was_found_is_drawn_before_it_is_followed() {

@@ -1,4 +1,4 @@
-//! `sms materials`: lists what objects are made of, keeps edits in the run, refuses what is wrong with exit code 2.
+//! `sms materials`: lists the materials of objects, keeps edits in the run, refuses invalid ones with exit code 2.
 
 use serde_json::Value;
 use sms_core::glamx::{DPose3, DVec3};

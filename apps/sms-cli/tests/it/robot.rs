@@ -35,7 +35,7 @@ fn what_is_planned_for_the_robot_passes_every_check() {
     bad_input_is_refused(dir.path(), out, task);
 }
 
-/// Each mistake: exit code 2, what is wrong by name, and the cure.
+/// Each mistake gives exit code 2 and a message with the wrong name and the cure.
 fn bad_input_is_refused(dir: &Path, run: &str, task: &str) {
     let refused = |arguments: &[&str], words: &[&str]| {
         let output = sms(arguments);
