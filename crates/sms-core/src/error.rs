@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 ///
 /// Every message names the file (or setting) and the cure.
 #[derive(Debug, Clone, thiserror::Error)]
-#[error("{what}{}\n  in: {path}\n  cure: {cure}", fmt_detail(.detail))]
+#[error("{what}{}\n  in: {path}\n  cure: {cure}", .more.written_detail())]
 pub struct InputError {
     /// The problem, in one clause.
     pub what: String,
@@ -14,34 +14,62 @@ pub struct InputError {
     pub path: String,
     /// The cure.
     pub cure: String,
-    /// The underlying reason, if there is one.
-    pub detail: Option<String>,
-    /// The dotted key of the setting at fault (`scan.holdout`), if there is one.
-    pub key: Option<Box<str>>,
+    more: Box<More>,
 }
 
-fn fmt_detail(detail: &Option<String>) -> String {
-    detail.as_ref().map(|d| format!(" ({d})")).unwrap_or_default()
+/// The optional parts of an [`InputError`], boxed to keep results small.
+#[derive(Debug, Clone, Default)]
+struct More {
+    detail: Option<String>,
+    key: Option<String>,
+}
+
+impl More {
+    fn written_detail(&self) -> String {
+        self.detail.as_ref().map(|d| format!(" ({d})")).unwrap_or_default()
+    }
 }
 
 impl InputError {
     /// Creates an input error about `path`.
     pub fn new(what: impl Into<String>, path: impl AsRef<Path>, cure: impl Into<String>) -> Self {
         let path = path.as_ref().display().to_string();
-        Self { what: what.into(), path, cure: cure.into(), detail: None, key: None }
+        Self { what: what.into(), path, cure: cure.into(), more: Box::default() }
     }
 
     /// The same error, attributed to a setting (`section.key`).
     #[must_use]
-    pub fn at_key(mut self, key: impl Into<Box<str>>) -> Self {
-        self.key = Some(key.into());
+    pub fn at_key(mut self, key: impl Into<String>) -> Self {
+        self.more.key = Some(key.into());
         self
     }
 
     /// Adds the underlying reason.
     pub fn because(mut self, detail: impl std::fmt::Display) -> Self {
-        self.detail = Some(detail.to_string());
+        self.more.detail = Some(detail.to_string());
         self
+    }
+
+    /// The same error, about another file, folder or setting.
+    #[must_use]
+    pub fn at_path(self, path: impl AsRef<Path>) -> Self {
+        Self { path: path.as_ref().display().to_string(), ..self }
+    }
+
+    /// The same error with another cure.
+    #[must_use]
+    pub fn with_cure(self, cure: impl Into<String>) -> Self {
+        Self { cure: cure.into(), ..self }
+    }
+
+    /// Returns the underlying reason, if there is one.
+    pub fn detail(&self) -> Option<&str> {
+        self.more.detail.as_deref()
+    }
+
+    /// Returns the dotted key of the setting at fault (`scan.holdout`), if there is one.
+    pub fn key(&self) -> Option<&str> {
+        self.more.key.as_deref()
     }
 }
 

@@ -10,7 +10,7 @@ use std::fmt::Display;
 /// let scan = Ranges::of("scan");
 /// assert!(scan.within("current_share", 0.4, 0.0, 1.0).is_ok());
 /// let error = scan.within("current_share", f64::NAN, 0.0, 1.0).unwrap_err();
-/// assert_eq!(error.key.as_deref(), Some("scan.current_share"));
+/// assert_eq!(error.key(), Some("scan.current_share"));
 /// ```
 #[derive(Debug, Clone, Copy)]
 pub struct Ranges<'a> {
@@ -86,10 +86,10 @@ mod tests {
         for bad in [f32::NAN, f32::INFINITY, -0.0, 0.4999, 2.0001] {
             assert!(r.within("k", bad, 0.5, 2.0).is_err(), "{bad}");
         }
-        assert_eq!(r.within("a.b", 0.1f32, 0.5, 2.0).unwrap_err().key.as_deref(), Some("s.a.b"));
-        assert_eq!(r.count("n", 0, 1, 3).unwrap_err().key.as_deref(), Some("s.n"));
+        assert_eq!(r.within("a.b", 0.1f32, 0.5, 2.0).unwrap_err().key(), Some("s.a.b"));
+        assert_eq!(r.count("n", 0, 1, 3).unwrap_err().key(), Some("s.n"));
         assert!(r.count("n", 0, 1, 3).is_err() && r.count("n", 3, 1, 3).is_ok());
-        assert_eq!(r.ordered(("min", 3.0), ("max", 2.0)).unwrap_err().key.as_deref(), Some("s.min"));
+        assert_eq!(r.ordered(("min", 3.0), ("max", 2.0)).unwrap_err().key(), Some("s.min"));
         assert!(r.ordered(("min", 2.0), ("max", 2.0)).is_ok());
     }
 }

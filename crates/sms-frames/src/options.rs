@@ -227,7 +227,7 @@ mod tests {
     fn values_out_of_range_are_named() {
         LoadSettings::default().validate().unwrap();
         ReadOptions::default().validate().unwrap();
-        let key = |checked: Result<(), InputError>| checked.unwrap_err().key.unwrap();
+        let key = |checked: Result<(), InputError>| checked.unwrap_err().key().unwrap().to_owned();
         let side = LoadSettings { long_side: 3, ..LoadSettings::default() };
         assert_eq!(&*key(side.validate()), "frames.long_side");
         let up = LoadSettings { align: Align::Up([0.0; 3]), ..LoadSettings::default() };

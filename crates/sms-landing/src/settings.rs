@@ -137,7 +137,7 @@ impl LandingSettings {
     /// [`InputError`] that names the key.
     pub fn validate(&self, path: &Path) -> Result<(), InputError> {
         let r = Ranges::of("landing");
-        let named = |e: InputError| InputError { path: path.display().to_string(), ..e };
+        let named = |e: InputError| e.at_path(path);
         for (key, value, low, high) in [
             ("screening", self.screening, 1, 1_000_000),
             ("draws", self.draws, 1, 1024),

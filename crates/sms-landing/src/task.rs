@@ -252,7 +252,7 @@ impl LandingTask {
     /// # Errors
     /// [`InputError`] that names the file, the key and the allowed range.
     pub fn validate(&self) -> Result<(), InputError> {
-        let named = |e: InputError| InputError { path: self.path().display().to_string(), ..e };
+        let named = |e: InputError| e.at_path(self.path());
         let (f, b, s) = (&self.flight, &self.bounds, &self.success);
         let pi = std::f64::consts::PI;
         for (section, key, value, low, high) in [

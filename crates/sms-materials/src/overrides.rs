@@ -126,8 +126,7 @@ impl Overrides {
         for (name, o) in &mut overrides.object {
             for (key, most) in NUMBERS {
                 if let Some(value) = o.slot(key).copied().flatten() {
-                    checked(name, key, value, most)
-                        .map_err(|e| InputError { path: path.display().to_string(), ..e })?;
+                    checked(name, key, value, most).map_err(|e| e.at_path(path))?;
                 }
             }
         }
@@ -178,7 +177,7 @@ impl Overrides {
                 ));
             }
         };
-        checked(name, key, value, most).map_err(|e| InputError { path: given, ..e })?;
+        checked(name, key, value, most).map_err(|e| e.at_path(given))?;
         let object = self.object.entry(name.to_owned()).or_default();
         match key {
             "mass_kg" => (object.density, object.fill_factor) = (None, None),

@@ -216,7 +216,7 @@ mod tests {
     fn other_formats_are_named() {
         let page = [b"<!DOCTYPE html>".to_vec(), vec![b'x'; 64]].concat();
         let detail = |bytes: &[u8]| match open(bytes) {
-            Err(NetsError::Input(e)) => e.detail,
+            Err(NetsError::Input(e)) => e.detail().map(str::to_owned),
             other => panic!("{other:?}"),
         };
         let page = detail(&page);

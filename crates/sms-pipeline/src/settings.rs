@@ -163,13 +163,10 @@ impl Settings {
 
     /// Returns the error for an invalid value, with the source of the value.
     fn blame(&self, section: &str, error: InputError) -> InputError {
-        let set =
-            error.key.as_deref().and_then(|key| self.assignments.iter().rev().find(|a| a.concerns(key)));
+        let set = error.key().and_then(|key| self.assignments.iter().rev().find(|a| a.concerns(key)));
         match set {
-            Some(assignment) => InputError { path: assignment.source(), ..error },
-            None if self.table.contains_key(section) => {
-                InputError { path: self.path.display().to_string(), ..error }
-            }
+            Some(assignment) => error.at_path(assignment.source()),
+            None if self.table.contains_key(section) => error.at_path(&self.path),
             None => error,
         }
     }

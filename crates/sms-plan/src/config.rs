@@ -137,7 +137,7 @@ impl PlanConfig {
     pub fn validate(&self, path: &Path) -> Result<(), InputError> {
         let d = &self.perturbation;
         let r = Ranges::of("plan");
-        let named = |e: InputError| InputError { path: path.display().to_string(), ..e };
+        let named = |e: InputError| e.at_path(path);
         for (key, value, low, high) in [
             ("starts", self.starts, 1, 1_000_000),
             ("evaluations", self.evaluations, 1, 1_000_000),
@@ -160,8 +160,10 @@ impl PlanConfig {
             r.count(key, value, low, high).map_err(named)?;
         }
         // The command line has an option for it.
-        r.count("disturbances.worlds", d.worlds, 0, MOST_WORLDS)
-            .map_err(|e| named(InputError { what: format!("{} (`--robust` sets it)", e.what), ..e }))?;
+        r.count("disturbances.worlds", d.worlds, 0, MOST_WORLDS).map_err(|mut e| {
+            e.what += " (`--robust` sets it)";
+            named(e)
+        })?;
         for (key, value, low, high) in [
             ("screening_share", self.screening_share, 0.0, 1.0),
             ("initial_step", self.initial_step, 1e-6, 1.0),

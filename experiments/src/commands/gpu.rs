@@ -1,9 +1,9 @@
 //! `sms-experiments scan --device gpu`: the same scenes and figures on a GPU, with the times of its kernels.
 
 use sms_cli::front::Console;
-#[cfg(feature = "gpu")]
-use sms_core::Seed;
 use sms_core::Warnings;
+#[cfg(feature = "gpu")]
+use sms_core::{Seed, StageContext};
 use sms_experiments::{BenchOptions, BenchScene, TrainerMaker};
 #[cfg(feature = "gpu")]
 use sms_gaussians::TrainConfig;

@@ -25,7 +25,7 @@ const PAPER_SEARCH: usize = 53;
 #[derive(Debug, Clone)]
 pub enum Entrant {
     /// A method of the planner with settings; the budget replaces their `evaluations`.
-    Planner(PlanConfig),
+    Planner(Box<PlanConfig>),
     /// CMA-ES (IPOP) from the best points of a scan, with the planner's default settings of scan and tolerances.
     CmaEs,
 }
@@ -101,7 +101,8 @@ pub struct OptimiserBench {
 impl OptimiserBench {
     /// The planner's methods and CMA-ES, compared with the paper's multi-start search.
     pub fn new(seeds: Vec<u64>, family: SceneFamily, evaluations: Vec<usize>) -> Self {
-        let planner = |method: Method| (method.as_str().to_owned(), Entrant::Planner(Self::settings(method)));
+        let planner =
+            |method: Method| (method.as_str().to_owned(), Entrant::Planner(Box::new(Self::settings(method))));
         let mut entrants: Vec<_> = Method::ALL.into_iter().map(planner).collect();
         entrants.push((CMA_ES.to_owned(), Entrant::CmaEs));
         Self {

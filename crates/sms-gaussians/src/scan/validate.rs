@@ -139,7 +139,7 @@ mod tests {
     fn not_a_number_and_a_share_beyond_one_are_refused() {
         let mut config = ScanConfig::default();
         config.seeding.spacing_px = f64::NAN;
-        let key = |config: &ScanConfig| config.validate().unwrap_err().key;
+        let key = |config: &ScanConfig| config.validate().unwrap_err().key().map(str::to_owned);
         assert_eq!(key(&config).as_deref(), Some("scan.seeding.spacing_px"));
         let mut config = ScanConfig::default();
         config.train.rates.position = f32::INFINITY;

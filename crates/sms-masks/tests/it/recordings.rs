@@ -10,7 +10,7 @@ use std::time::Instant;
 fn recording(name: &str) -> Sequence {
     let workspace = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
     let data = std::env::var_os("SMS_TEST_DATA").map_or(workspace.join("../shared/data"), PathBuf::from);
-    let recording = Recording::open(&data.join(name), &ReadOptions::default()).unwrap();
+    let recording = Recording::open(data.join(name), &ReadOptions::default()).unwrap();
     let settings = LoadSettings { long_side: 320, stride: 2, ..LoadSettings::default() };
     load(&recording, &settings, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap()
 }

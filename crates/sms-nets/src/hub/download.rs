@@ -40,10 +40,10 @@ enum Failure {
     /// A retry may help, after this time if the server gives one.
     Passing(String, Option<Duration>),
     /// A retry will not help.
-    Lasting(NetsError),
+    Lasting(Box<NetsError>),
 }
 
-/// HubClient of the hub for one model.
+/// Client of the hub for one model.
 pub(crate) struct HubClient<'a> {
     hub: &'a HubConfig,
     model: &'a HubModel,
@@ -106,7 +106,9 @@ impl<'a> HubClient<'a> {
                 _ => {
                     let what = format!("the server at {at} is not a Hugging Face hub");
                     let cure = self.hub.by_hand(self.model);
-                    return Err(Failure::Lasting(InputError::new(what, "HF_ENDPOINT", cure).into()));
+                    return Err(Failure::Lasting(Box::new(
+                        InputError::new(what, "HF_ENDPOINT", cure).into(),
+                    )));
                 }
             }
         }
@@ -154,7 +156,7 @@ impl<'a> HubClient<'a> {
         progress: &dyn Progress,
         cancel: &Cancel,
     ) -> Result<(), Failure> {
-        let own = |e: CoreError| Failure::Lasting(e.into());
+        let own = |e: CoreError| Failure::Lasting(Box::new(e.into()));
         let mut have = length(partial);
         if remote.size.is_some_and(|size| have > size) {
             have = 0;
@@ -231,7 +233,7 @@ impl<'a> HubClient<'a> {
     fn refused(&self, status: u16, file: &str, retry_after: Option<String>) -> Failure {
         let repository = self.model.repository;
         let input = |what: String, cure: String| {
-            Failure::Lasting(InputError::new(what, &self.hub.endpoint, cure).into())
+            Failure::Lasting(Box::new(InputError::new(what, &self.hub.endpoint, cure).into()))
         };
         match status {
             401 | 403 => input(
@@ -275,7 +277,7 @@ impl<'a> HubClient<'a> {
             let before = have();
             let (why, wait) = match attempt() {
                 Ok(value) => return Ok(value),
-                Err(Failure::Lasting(error)) => return Err(error),
+                Err(Failure::Lasting(error)) => return Err(*error),
                 Err(Failure::Passing(why, wait)) => (why, wait),
             };
             if have() > before {

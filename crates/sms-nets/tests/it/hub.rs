@@ -350,7 +350,7 @@ fn a_wrong_checksum_is_refused_and_not_cached() {
             );
         let hub = hub(&server, cache.path());
         let Err(NetsError::Input(error)) = fetch(&hub) else { panic!("{file}") };
-        assert!(error.detail.is_some(), "{error}");
+        assert!(error.detail().is_some(), "{error}");
         assert_eq!(hub.cached(&MODEL), None);
     }
     let good = Server::new(|_, _| Fault::None);

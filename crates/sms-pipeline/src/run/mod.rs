@@ -23,7 +23,7 @@ pub use settings::RunSettings;
 use crate::{Context, Error};
 use serde::de::DeserializeOwned;
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, InputError, RunFolder, atomic};
+use sms_core::{CoreError, RunFolder, atomic};
 use std::path::{Path, PathBuf};
 
 /// The pipeline on a folder: each method runs one command, reuses stages with unchanged inputs, and stores its result
@@ -78,8 +78,7 @@ fn read_optional<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, Error> {
     }
     atomic::read_json(path).map(Some).map_err(|e| match e {
         CoreError::Input(e) => {
-            let cure = "restore it, or delete it to write the report without it".into();
-            InputError { cure, ..e }.into()
+            e.with_cure("restore it, or delete it to write the report without it").into()
         }
         other => other.into(),
     })

@@ -115,5 +115,5 @@ fn interruption_and_settings_out_of_range_are_errors() {
     let wrong = PosesConfig { prior_position_m: 0.0, ..on };
     let refused = refine_poses(&given, &wrong, StageContext::quiet(&Cancel::new(), &Warnings::new()));
     let Err(CoreError::Input(refused)) = refused else { panic!("{refused:?}") };
-    assert_eq!(refused.key.as_deref(), Some("poses.prior_position_m"));
+    assert_eq!(refused.key(), Some("poses.prior_position_m"));
 }

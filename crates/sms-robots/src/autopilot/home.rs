@@ -44,7 +44,7 @@ impl Home {
 
     /// The inverse of [`Home::to_ned`].
     #[cfg(test)]
-    pub(crate) fn from_ned(&self, p_ned: DVec3) -> DVec3 {
+    pub(crate) fn world_of_ned(&self, p_ned: DVec3) -> DVec3 {
         let enu = DVec2::new(p_ned.y, p_ned.x);
         self.home_w + DVec2::from_angle(self.east_yaw).rotate(enu).extend(-p_ned.z)
     }
@@ -68,7 +68,7 @@ impl Home {
 
     /// The inverse of [`Home::to_geodetic`]; `None` if home is unknown.
     #[cfg(test)]
-    pub(crate) fn from_geodetic(
+    pub(crate) fn world_of_geodetic(
         &self,
         latitude_deg: f64,
         longitude_deg: f64,
@@ -78,7 +78,7 @@ impl Home {
         let (meridian, parallel) = radii(home);
         let north = (latitude_deg - home.latitude_deg).to_radians() * meridian;
         let east = (longitude_deg - home.longitude_deg).to_radians() * parallel;
-        Some(self.from_ned(DVec3::new(north, east, -above_home_m)))
+        Some(self.world_of_ned(DVec3::new(north, east, -above_home_m)))
     }
 }
 
@@ -130,10 +130,10 @@ mod tests {
             let home = Home { home_w: DVec3::new(0.3, -1.0, 0.05), east_yaw: east, geodetic: Some(SITE) };
             let p_w = DVec3::new(x, y, z);
             let ned = home.to_ned(p_w);
-            prop_assert!(home.from_ned(ned).distance(p_w) < 1e-12);
+            prop_assert!(home.world_of_ned(ned).distance(p_w) < 1e-12);
             prop_assert!((ned.length() - p_w.distance(home.home_w)).abs() < 1e-12);
             let (latitude, longitude, above) = home.to_geodetic(p_w).unwrap();
-            prop_assert!(home.from_geodetic(latitude, longitude, above).unwrap().distance(p_w) < 1e-7);
+            prop_assert!(home.world_of_geodetic(latitude, longitude, above).unwrap().distance(p_w) < 1e-7);
             // The heading is that of the vehicle's forward axis in NED.
             let forward = home.vector_to_ned(DVec2::from_angle(yaw).extend(0.0));
             let difference = forward.y.atan2(forward.x) - home.heading(yaw);

@@ -177,7 +177,7 @@ mod tests {
         let mission = mission(&flight, &home, 0.0, 0.7).unwrap();
         let commands: Vec<u16> = mission.items.iter().map(|i| i.command).collect();
         assert_eq!((commands[0], commands[1], *commands.last().unwrap()), (TAKEOFF, CHANGE_SPEED, LAND));
-        let p_w = |i: &MissionItem| home.from_geodetic(i.params[4], i.params[5], i.params[6]).unwrap();
+        let p_w = |i: &MissionItem| home.world_of_geodetic(i.params[4], i.params[5], i.params[6]).unwrap();
         assert!(p_w(&mission.items[0]).distance(DVec3::new(-1.6, 1.2, 1.15)) < 1e-6);
         let ways: Vec<DVec3> = mission.items.iter().filter(|i| i.command == WAYPOINT).map(p_w).collect();
         assert!(ways.len() >= 4, "{}", ways.len());
@@ -222,7 +222,7 @@ mod tests {
                 item["params"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
             assert_eq!(written, a.params);
             if a.frame == ABOVE_HOME {
-                let p_w = |p: &[f64; 7]| home.from_geodetic(p[4], p[5], p[6]).unwrap();
+                let p_w = |p: &[f64; 7]| home.world_of_geodetic(p[4], p[5], p[6]).unwrap();
                 assert!(p_w(&a.params).distance(p_w(row[4..11].try_into().unwrap())) < 2e-4);
             }
         }
