@@ -47,7 +47,7 @@ pub const MODELS: [&str; 18] = [
     "aws_low_table",
 ];
 
-/// The numbers of the fixed structures, as `sms synth --family landing` numbers them ([`landing_structure`]).
+/// The numbers of the fixed structures, as `sms synth --family landing` numbers them ([`sms_synth::landing_structure`]).
 pub const LANDING_SCENES: RangeInclusive<usize> = 1..=LandingStructure::ALL.len();
 
 /// One scene of the benchmark; its text is the `{scene}` of the metrics' keys.

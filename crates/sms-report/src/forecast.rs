@@ -313,8 +313,10 @@ fn sensitivities(plan: &Plan) -> String {
             length_text(s.change)
         );
     }
-    html.push_str("</table><figcaption>Root-mean-square change of the miss when a single unknown varies within its \
-                   uncertainty; interactions are not included.");
+    html.push_str(
+        "</table><figcaption>Root-mean-square change of the miss when a single unknown varies within its \
+                   uncertainty; interactions are not included.",
+    );
     let rest = plan.sensitivities.len() - drawn.len();
     if rest > 0 {
         let _ = write!(html, " {rest} smaller ones are not shown.");

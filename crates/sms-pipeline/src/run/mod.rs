@@ -77,9 +77,7 @@ fn read_optional<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, Error> {
         return Ok(None);
     }
     atomic::read_json(path).map(Some).map_err(|e| match e {
-        CoreError::Input(e) => {
-            e.with_cure("restore it, or delete it to write the report without it").into()
-        }
+        CoreError::Input(e) => e.with_cure("restore it, or delete it to write the report without it").into(),
         other => other.into(),
     })
 }
