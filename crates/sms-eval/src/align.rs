@@ -5,8 +5,8 @@ use glamx::{DPose3, DQuat, DVec3};
 use rayon::prelude::*;
 use sms_core::symmetric_eigen;
 
-/// The rigid motion `x_ab` that carries points `p_b` closest to their partners `p_a` in the least squares sense (Horn
-/// 1987, "Closed-form solution of absolute orientation using unit quaternions").
+/// Returns the rigid motion `x_ab` that moves points `p_b` closest to their partners `p_a` in the least-squares sense
+/// (Horn 1987, "Closed-form solution of absolute orientation using unit quaternions").
 fn absolute_orientation(p_a: &[DVec3], p_b: &[DVec3]) -> DPose3 {
     let n = p_a.len().min(p_b.len());
     if n == 0 {
@@ -33,8 +33,8 @@ fn absolute_orientation(p_a: &[DVec3], p_b: &[DVec3]) -> DPose3 {
     DPose3::from_parts(a0 - rotation * b0, rotation)
 }
 
-/// Improves `x_tw` by bringing points (in `W`, each with the index of its surface) onto true surfaces: iterated point to
-/// plane steps on the nearest 90 % of at most 20 000 points.
+/// Improves `x_tw` by moving points (in `W`, each with the index of its surface) onto true surfaces: iterated
+/// point-to-plane steps on the nearest 90 % of at most 20 000 points.
 pub fn refine_on_surfaces(points_w: &[(DVec3, usize)], surfaces: &[TrueSurface], x_tw: DPose3) -> DPose3 {
     const MOST: usize = 20_000;
     const ROUNDS: usize = 40;
@@ -51,7 +51,8 @@ pub fn refine_on_surfaces(points_w: &[(DVec3, usize)], surfaces: &[TrueSurface],
             .map(|&(p_w, surface)| {
                 let p = pose.transform_point(p_w);
                 let (closest, normal) = surfaces[surface].closest(p);
-                // Away from edges the offset is along the normal; at edges its own direction is the better plane.
+                // Away from edges the offset is along the normal. At an edge, the direction of the offset gives a
+                // better plane.
                 let off = p - closest;
                 let along = off.dot(normal);
                 let normal = if along.abs() > 0.9 * off.length() { normal } else { off.normalize_or(normal) };
@@ -70,7 +71,7 @@ pub fn refine_on_surfaces(points_w: &[(DVec3, usize)], surfaces: &[TrueSurface],
                 (0..6).for_each(|j| a[i][j] += row[i] * row[j]);
             }
         }
-        // Directions that no point constrains stay where they are.
+        // Directions that no point constrains stay unchanged.
         let trace: f64 = (0..6).map(|i| a[i][i]).sum();
         (0..6).for_each(|i| a[i][i] += 1e-9 * trace);
         let Some(x) = solve(a, b) else { break };
@@ -86,7 +87,7 @@ pub fn refine_on_surfaces(points_w: &[(DVec3, usize)], surfaces: &[TrueSurface],
     pose
 }
 
-/// Solves a symmetric positive definite system; `None` when it is not.
+/// Solves a symmetric positive definite system; `None` if it is not positive definite.
 fn solve(mut a: [[f64; 6]; 6], mut b: [f64; 6]) -> Option<[f64; 6]> {
     for k in 0..6 {
         if a[k][k] <= 0.0 || !a[k][k].is_finite() {
@@ -104,8 +105,8 @@ fn solve(mut a: [[f64; 6]; 6], mut b: [f64; 6]) -> Option<[f64; 6]> {
     b.iter().all(|v| v.is_finite()).then_some(b)
 }
 
-/// The alignment `x_tw` of cameras as used (`x_wc`) to the true ones (`x_tc`), from their centres and, so that rotations
-/// count, points 1 m in front of them.
+/// Returns the alignment `x_tw` of cameras as used (`x_wc`) with the true ones (`x_tc`), from their centres and from
+/// points 1 m in front of them, which add the rotations.
 pub fn align_cameras(x_tc: &[DPose3], x_wc: &[DPose3]) -> DPose3 {
     let corners = |poses: &[DPose3]| -> Vec<DVec3> {
         poses.iter().flat_map(|x| [x.translation, x.transform_point(DVec3::Z)]).collect()
@@ -136,7 +137,7 @@ mod tests {
         let p_a: Vec<DVec3> = p_b.iter().map(|&p| motion().transform_point(p)).collect();
         let (turn, shift) = pose_difference(&absolute_orientation(&p_a, &p_b), &motion());
         assert!(turn < 1e-7 && shift < 1e-12, "{turn} {shift}");
-        // Centres on a line do not hold the rotation about it; the cameras' axes do.
+        // Centres on a line do not determine the rotation about it; the axes of the cameras do.
         let x_wc: Vec<DPose3> = (0..5)
             .map(|i| DPose3::from_parts(DVec3::X * i as f64, DQuat::from_rotation_x(0.2 * i as f64)))
             .collect();

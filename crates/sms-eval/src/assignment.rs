@@ -5,8 +5,8 @@ use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{Mesh, Seed};
 
-/// The column of each row of a square cost matrix in an assignment of least cost (Kuhn's "Hungarian method", with
-/// shortest augmenting paths).
+/// Returns the column of each row of a square cost matrix in an assignment of least cost (Kuhn's "Hungarian method",
+/// with shortest augmenting paths).
 ///
 /// ```
 /// // Column 0 is the cheapest of both rows, but row 0 has no comparable alternative.
@@ -61,7 +61,7 @@ pub fn least_cost_assignment(cost: &[Vec<f64>]) -> Vec<usize> {
     column_of
 }
 
-/// The surface of something to be matched, in the world.
+/// A surface to be matched, in the world.
 #[derive(Debug, Clone, Copy)]
 pub enum MatchSurface<'a> {
     /// Triangles.
@@ -76,7 +76,7 @@ struct PreparedSurface {
 }
 
 impl PreparedSurface {
-    /// Enough to tell objects apart.
+    /// Enough samples to distinguish objects.
     const SAMPLES: usize = 400;
 
     fn new(surface: MatchSurface<'_>) -> Self {
@@ -95,7 +95,7 @@ impl PreparedSurface {
         }
     }
 
-    /// Mean of the distances between two surfaces, each from the other's samples; infinite where one has none.
+    /// Mean of the distances between two surfaces, from samples of each; infinite if one has no samples.
     fn distance(&self, other: &Self) -> f64 {
         let to = |from: &Self, to: &Self| {
             let Some(index) = to.index.as_ref().filter(|_| !from.samples.is_empty()) else {
@@ -107,9 +107,9 @@ impl PreparedSurface {
     }
 }
 
-/// Returns the index of the matching reconstruction of each known object, each reconstruction at most once. `given` pairs of
-/// (known, found) are kept; the rest is assigned with the least sum of the distances between the surfaces (mean of both
-/// directions). Pairs farther apart than `reach_m[known]` are not matched.
+/// Returns the index of the matching reconstruction of each known object, each reconstruction at most once. `given`
+/// pairs of (known, found) are kept; the rest is assigned with the least sum of the distances between the surfaces
+/// (mean of both directions). Pairs farther apart than `reach_m[known]` are not matched.
 pub fn match_objects(
     known: &[MatchSurface<'_>],
     found: &[MatchSurface<'_>],
@@ -133,7 +133,7 @@ pub fn match_objects(
         .into_par_iter()
         .map(|row| {
             let at = |column: usize| match (k.get(row), f.get(column)) {
-                // In units of the reach: beyond it, the cost is that of no match.
+                // In units of the reach; a larger distance costs as much as no match.
                 (Some(a), Some(b)) => (a.distance(b) / reach_m[free_known[row]]).min(1.0),
                 _ => 1.0,
             };
@@ -178,19 +178,19 @@ mod tests {
 
     #[test]
     fn no_reconstruction_stands_for_two_objects() {
-        // Both known balls are nearest to the same reconstruction; the farther one takes the other.
+        // Both known balls are closest to the same reconstruction; the farther one gets the other.
         let (known, found) = ([ball(0.0), ball(0.07)], [ball(0.03), ball(-0.02)]);
         let meshes = |m: &[Mesh; 2]| m.clone();
         let (k, f) = (meshes(&known), meshes(&found));
         let k: Vec<MatchSurface> = k.iter().map(MatchSurface::Mesh).collect();
         let f: Vec<MatchSurface> = f.iter().map(MatchSurface::Mesh).collect();
         assert_eq!(match_objects(&k, &f, &[], &[0.1; 2]), [Some(1), Some(0)]);
-        // With one reconstruction only, one object stays without.
+        // With only one reconstruction, one object has no match.
         assert_eq!(match_objects(&k, &f[..1], &[], &[0.1; 2]), [Some(0), None]);
-        // Given pairs stay, and distant ones are not matched.
+        // Given pairs are kept, and distant ones are not matched.
         assert_eq!(match_objects(&k, &f, &[(0, 0)], &[0.1; 2]), [Some(0), Some(1)]);
         assert_eq!(match_objects(&k, &f, &[(0, 0)], &[0.1, 0.02]), [Some(0), None]);
-        // Points do as well as triangles.
+        // Points work as well as triangles.
         let points = known[1].vertices.clone();
         assert_eq!(match_objects(&[MatchSurface::Points(&points)], &f, &[], &[0.1]), [Some(0)]);
         assert_eq!(match_objects(&[MatchSurface::Points(&[])], &f, &[], &[0.1]), [None]);

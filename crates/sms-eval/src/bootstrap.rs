@@ -3,7 +3,7 @@
 use rand::RngExt;
 use sms_core::{QuantileRule, Seed, quantile};
 
-/// Resamples of the scenes.
+/// Number of resamples of the scenes.
 const RESAMPLES: usize = 4000;
 
 /// A mean difference with its 95 % interval.
@@ -11,9 +11,9 @@ const RESAMPLES: usize = 4000;
 pub struct Paired {
     /// Mean of a − b.
     pub mean: f64,
-    /// Its 2.5 % quantile over resampled scenes.
+    /// 2.5 % quantile of the mean over resampled scenes.
     pub low: f64,
-    /// Its 97.5 % quantile.
+    /// 97.5 % quantile of the mean over resampled scenes.
     pub high: f64,
 }
 
@@ -24,8 +24,8 @@ impl Paired {
     }
 }
 
-/// The mean of `a − b` over scenes, with the percentile bootstrap (Efron 1979) over scenes: each resample takes whole
-/// pairs. Seeded, so that the same figures give the same interval. `None` without pairs.
+/// Returns the mean of `a − b` over scenes, with the percentile bootstrap (Efron 1979) over scenes: each resample draws
+/// whole pairs. The seed is fixed, so that the same values give the same interval. `None` without pairs.
 pub fn paired_difference(a: &[f64], b: &[f64]) -> Option<Paired> {
     let differences: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();
     let n = differences.len();
@@ -39,10 +39,10 @@ pub fn paired_difference(a: &[f64], b: &[f64]) -> Option<Paired> {
     Some(Paired::of_resamples(mean(&differences), &mut means))
 }
 
-/// The ratio of means `mean(a) / mean(b) − 1` over scenes, with the percentile bootstrap over scenes: each resample takes
-/// whole pairs and forms the ratio of its own means, so that the interval includes the uncertainty of the base. In
-/// [`Paired`], `mean` is the ratio over all scenes. Seeded. `None` without pairs, or where values that should be positive
-/// are not.
+/// Returns the ratio of means `mean(a) / mean(b) − 1` over scenes, with the percentile bootstrap over scenes. Each
+/// resample draws whole pairs and forms the ratio of its own means, so that the interval includes the uncertainty of
+/// the base. In [`Paired`], `mean` is the ratio over all scenes. The seed is fixed. `None` without pairs, or if values
+/// that should be positive are not.
 pub fn paired_ratio(pairs: &[(f64, f64)]) -> Option<Paired> {
     let n = pairs.len();
     if n == 0 || pairs.iter().any(|p| p.1.is_nan() || p.1 <= 0.0 || p.0.is_nan()) {
@@ -57,12 +57,12 @@ pub fn paired_ratio(pairs: &[(f64, f64)]) -> Option<Paired> {
     Some(Paired::of_resamples(ratio(pairs.iter().fold((0.0, 0.0), add)), &mut ratios))
 }
 
-/// Returns the mean; of no values, NaN.
+/// Returns the mean; NaN for an empty slice.
 pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Returns the median: of an even number of values, the mean of the middle two; of none, NaN.
+/// Returns the median (the mean of the middle two for an even number of values); NaN for an empty slice.
 pub fn median(values: &[f64]) -> f64 {
     quantile(&mut values.to_vec(), 0.5, QuantileRule::Linear).unwrap_or(f64::NAN)
 }
@@ -94,8 +94,8 @@ mod tests {
 
     #[test]
     fn the_interval_of_a_ratio_is_that_of_its_linearisation_for_many_scenes() {
-        // b is 1 or 3, and a is 2 or 3 independently of it: R = 2.5/2, and by the delta method the standard error of R is
-        // √((σ_a² + R² σ_b²) / n) / mean(b). The interval of the difference over a fixed mean has 1 in the place of R.
+        // b is 1 or 3, and a is 2 or 3 independently of b: R = 2.5/2. By the delta method the standard error of R is
+        // √((σ_a² + R² σ_b²) / n) / mean(b). For the difference over a fixed mean, R is replaced by 1.
         let n = 1600;
         let pairs: Vec<(f64, f64)> =
             (0..n).map(|i| (2.0 + f64::from(i % 2), 1.0 + 2.0 * f64::from(i / 2 % 2))).collect();

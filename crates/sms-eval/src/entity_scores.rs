@@ -1,4 +1,4 @@
-//! Figures of one reconstructed entity against its true object.
+//! Metrics of one reconstructed entity, compared with its true object.
 
 use crate::overlap::{collision_solids, parts_overlap};
 use crate::surface_index::sample_surface;
@@ -7,11 +7,11 @@ use crate::truth::{OBSERVED_SPACING_M, SurfacePoint, TrueSurface};
 use rayon::prelude::*;
 use sms_core::{Entity, QuantileRule, Seed, quantile};
 
-/// Samples of a surface, before the unobserved ones are left out.
+/// Number of samples of a surface before the unobserved ones are removed.
 pub const SURFACE_SAMPLES: usize = 100_000;
 
-/// Returns key and value of each surface figure. They compare the reconstructed surface that the cameras would see with the
-/// truth, and the true surface that they saw with the reconstruction. Surfaces that no camera sees are not judged.
+/// Returns key and value of each surface metric. The reconstructed surface visible to the cameras is compared with the
+/// truth, and the observed part of the true surface with the reconstruction. Surfaces that no camera sees do not count.
 pub fn surface_figures(
     found: &TrueSurface,
     seen: &[SurfacePoint],
@@ -28,7 +28,7 @@ pub fn surface_figures(
         Seed(0),
     );
     let off_all: Vec<f64> = all.par_iter().map(|&p| truth.distance(p)).collect();
-    // Sorted, so that the means of the distances are added up in one order.
+    // Sorted, so that the means of the distances are summed in a fixed order.
     off.sort_by(f64::total_cmp);
     missing.sort_by(f64::total_cmp);
     let rank = |d: &mut [f64], q: f64| quantile(d, q, QuantileRule::Nearest).unwrap_or(f64::NAN);
@@ -55,7 +55,7 @@ pub fn surface_figures(
     ]
 }
 
-/// Number of samples of a surface, the unobserved ones included.
+/// Returns the number of samples of a surface, including unobserved ones.
 fn sample_count(truth: &TrueSurface) -> f64 {
     let spacing = OBSERVED_SPACING_M.max((truth.mesh.area() / SURFACE_SAMPLES as f64).sqrt());
     (truth.mesh.area() / (spacing * spacing)).round().max(1.0)
@@ -114,16 +114,16 @@ mod tests {
             move |key: &str| figures.iter().find(|f| f.0 == key).unwrap().1
         };
         let half = DVec3::splat(0.03);
-        // 1 cm deeper below, where no camera looks: of the visible part, only the foot of the walls is wrong.
+        // 1 cm deeper below, where no camera looks: only the visible foot of the walls is wrong.
         let deeper = || cuboid(DVec3::new(0.03, 0.03, 0.035), -0.005);
         let f = figures(deeper(), cuboid(half, 0.0));
         assert!(f("recall_2p5mm") == 1.0 && f("surface_median_m") < 1e-12);
-        // Walls of 7 cm instead of 6, of which the lowest 7.5 mm are wrong, beside the top.
+        // Walls of 7 cm instead of 6; their lowest 7.5 mm are wrong. The top is also visible.
         let expected = 1.0 - 4.0 * 0.06 * 0.0075 / (4.0 * 0.06 * 0.07 + 0.0036);
         assert!((f("precision_2p5mm") - expected).abs() < 2e-3, "{}", f("precision_2p5mm"));
         assert!(f("f1_2p5mm_all") < f("f1_2p5mm") - 0.05);
         assert!(f("f1_5mm") > f("f1_2p5mm"));
-        // 4 mm too high, where they look.
+        // 4 mm too high, on the visible side.
         let f = figures(cuboid(DVec3::new(0.03, 0.03, 0.032), 0.002), cuboid(half, 0.0));
         assert!(f("precision_2p5mm") < 0.85 && f("recall_2p5mm") < 0.85 && f("f1_5mm") == 1.0);
         assert!(f("observed_truth_share") > 0.8 && f("observed_truth_share") < 0.85);

@@ -1,16 +1,17 @@
 //! Reconstructed objects against known ones.
 //!
-//! The known model is a point cloud (a scanner's, or sampled from a true mesh) or a mesh. *Accuracy* is the distance of
-//! reconstructed surface points to the model, *completion* that of model points to the reconstructed surface; F1 at
-//! a threshold is the harmonic mean of the shares within it (Knapitsch et al. 2017, "Tanks and Temples").
+//! The known model is a point cloud (from a scanner, or sampled from a true mesh) or a mesh. *Accuracy* is the distance
+//! of reconstructed surface points to the model, *completion* is the distance of model points to the reconstructed
+//! surface. F1 at a threshold is the harmonic mean of the shares within the threshold (Knapitsch et al. 2017, "Tanks
+//! and Temples").
 //!
-//! Thresholds of 2.5 and 5 mm, 100 000 points spread over each surface and shares strictly within the threshold are those
-//! of MobileBrick (Li, Bian, Castle, Torr, Prisacariu: "MobileBrick: Building LEGO for 3D Reconstruction on Mobile
-//! Devices", CVPR 2023, and its evaluation script). Three things differ: distances are to the surface instead of to the
-//! nearest sample, which is exact; reconstructions are taken where they are instead of being fitted to the model first,
-//! since poses are evaluated, too; and Chamfer is the mean of the two mean distances, where MobileBrick has their
-//! sum. MobileBrick leaves out points outside of a mask of visible space; `sms-experiments materialize` does so by the view of the
-//! cameras, here every point counts.
+//! As in MobileBrick, thresholds are 2.5 and 5 mm, 100 000 points are spread over each surface, and shares are strictly
+//! within the threshold (Li, Bian, Castle, Torr, Prisacariu: "MobileBrick: Building LEGO for 3D Reconstruction on
+//! Mobile Devices", CVPR 2023, and its evaluation script). Three things differ. Distances are to the surface instead of
+//! the nearest sample, which is exact. Reconstructions are not fitted to the model first, since their poses are
+//! evaluated, too. Chamfer is the mean of the two mean distances; in MobileBrick it is their sum. MobileBrick leaves
+//! out points outside a mask of visible space. Here every point counts; `sms-experiments materialize` restricts points
+//! to the view of the cameras.
 
 use crate::surface_index::{SurfaceIndex, sample_surface};
 use glamx::{DMat4, DPose3, DVec3};
@@ -43,7 +44,7 @@ impl StageError for EvaluateError {
     }
 }
 
-/// How surfaces are compared.
+/// Settings for the comparison of surfaces.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvaluateSettings {
@@ -60,10 +61,10 @@ impl Default for EvaluateSettings {
 }
 
 impl EvaluateSettings {
-    /// The first value that cannot be used.
+    /// Checks that all values are valid.
     ///
     /// # Errors
-    /// [`InputError`] that names the key and the allowed range.
+    /// [`InputError`] that names the first invalid key and its range.
     pub fn validate(&self) -> Result<(), InputError> {
         Ranges::of("evaluate").count("samples", self.samples, 100, 100_000_000)
     }
@@ -74,7 +75,7 @@ impl EvaluateSettings {
 pub struct ObjectScores {
     /// Median distance reconstruction → model.
     pub accuracy_median_m: f64,
-    /// 90 % quantile of the same.
+    /// 90 % quantile of the distance reconstruction → model.
     pub accuracy_p90_m: f64,
     /// Median distance model → reconstruction.
     pub completion_median_m: f64,
@@ -91,7 +92,7 @@ pub struct ObjectScores {
 }
 
 impl ObjectScores {
-    /// As `evaluate.<name>.*` metrics.
+    /// Returns the scores as `evaluate.<name>.*` metrics.
     pub fn metrics(&self, name: &str) -> Metrics {
         let mut m = Metrics::new();
         for (key, value) in [
@@ -110,10 +111,10 @@ impl ObjectScores {
     }
 }
 
-/// The known surface that a reconstruction is compared with, in the world.
+/// The known surface for a comparison, in the world.
 #[derive(Debug, Clone, Copy)]
 pub enum KnownSurface<'a> {
-    /// A scanner's points, dense enough that the distance to the nearest is the distance to the surface.
+    /// Points of a scanner, dense enough that the distance to the nearest point is the distance to the surface.
     Cloud(&'a PointCloud),
     /// An exact mesh.
     Mesh(&'a Mesh),
@@ -176,7 +177,7 @@ pub fn evaluate_object(
     })
 }
 
-/// Centre and radius errors of a fitted sphere, as `evaluate.<name>.*` metrics.
+/// Returns the centre and radius errors of a fitted sphere as `evaluate.<name>.*` metrics.
 pub fn compare_sphere(name: &str, found: (DVec3, f64), truth: (DVec3, f64)) -> Metrics {
     let mut m = Metrics::new();
     m.set(format!("evaluate.{name}.center_error_m"), (found.0 - truth.0).length());
@@ -189,11 +190,11 @@ pub fn compare_sphere(name: &str, found: (DVec3, f64), truth: (DVec3, f64)) -> M
 pub struct KnownObject {
     /// Name.
     pub name: String,
-    /// Its value in the recording's label images.
+    /// The object's value in the recording's label images.
     pub mask_value: u16,
-    /// The model's points in the recording's world; of a mesh, samples of its surface.
+    /// The model's points in the recording's world; for a mesh, samples of its surface.
     pub model_r: PointCloud,
-    /// The model's surface in the recording's world where it is a mesh.
+    /// The model's surface in the recording's world if it is a mesh.
     pub mesh_r: Option<Mesh>,
 }
 

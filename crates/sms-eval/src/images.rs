@@ -1,4 +1,4 @@
-//! Rendered held-out views against the observed frames and against the truth.
+//! Rendered held-out views, compared with the observed frames and with the truth.
 
 use crate::label_matching::Overlaps;
 use crate::label_matching::UNMATCHED;
@@ -7,22 +7,22 @@ use serde::{Deserialize, Serialize};
 use sms_core::{ColorImage, DepthImage, Image, LabelMap, QuantileRule, quantile};
 use sms_gaussians::RenderedMaps;
 
-/// Accumulated opacity from which a pixel counts as covered.
+/// Accumulated opacity above which a pixel counts as covered.
 pub const COVERED: f32 = 0.5;
 
-/// A view as a reconstruction shows it.
+/// A rendered view of a reconstruction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ShownView {
     /// Colour, 0 to 1 (not rounded to 8 bits).
     pub color: Image<[f32; 3]>,
-    /// Depth in metres, 0 where nothing is shown.
+    /// Depth in metres, 0 for empty pixels.
     pub depth: DepthImage,
-    /// Label of the masks, 0 where nothing is shown; `None` when the reconstruction has no labels.
+    /// Label of the masks, 0 for empty pixels; `None` when the reconstruction has no labels.
     pub label: Option<LabelMap>,
 }
 
 impl ShownView {
-    /// Of rendered maps: pixels with less opacity than [`COVERED`] have no depth and background's label.
+    /// Converts rendered maps. Pixels with less opacity than [`COVERED`] have no depth and the background's label.
     pub fn of_maps(maps: &RenderedMaps) -> Self {
         let (w, h) = (maps.width, maps.height);
         let covered = |i: usize| maps.alpha[i] >= COVERED;
@@ -53,9 +53,9 @@ pub fn psnr_db(shown: &Image<[f32; 3]>, observed: &ColorImage) -> f64 {
 
 /// Depth errors collected over views.
 ///
-/// A pixel counts when its true depth lies within the range of depths that the frame's camera measured anywhere in that
-/// frame: the floor beyond is out of the camera's reach. Of these, pixels that show a depth (accumulated opacity of at
-/// least [`COVERED`]) give an error; the others lower the coverage.
+/// A pixel counts if its true depth lies within the range of depths that the camera measured anywhere in the frame,
+/// which excludes the distant floor. Counted pixels with a rendered depth (accumulated opacity of at least [`COVERED`])
+/// have an error; the others lower the coverage.
 #[derive(Debug, Clone, Default)]
 pub struct DepthErrors {
     errors: Vec<f64>,
@@ -69,13 +69,13 @@ pub struct DepthErrors {
 pub struct DepthScores {
     /// Mean absolute error.
     pub mae_m: f64,
-    /// Median.
+    /// Median absolute error.
     pub median_m: f64,
-    /// Mean away from silhouettes: where the true 5 × 5 surroundings have one label and no depth edge.
+    /// Mean absolute error away from silhouettes: where the true 5 × 5 neighbourhood has one label and no depth edge.
     pub inner_mae_m: f64,
-    /// Mean where the frame has a measurement.
+    /// Mean absolute error at pixels with a measured depth.
     pub measured_mae_m: f64,
-    /// Share of the countable pixels that show a depth.
+    /// Share of the counted pixels with a rendered depth.
     pub coverage: f64,
 }
 
@@ -106,7 +106,7 @@ impl DepthErrors {
         }
     }
 
-    /// The scores over all views added.
+    /// Returns the scores over all added views.
     pub fn scores(&self) -> DepthScores {
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
         let median = quantile(&mut self.errors.clone(), 0.5, QuantileRule::Nearest);
@@ -120,8 +120,8 @@ impl DepthErrors {
     }
 }
 
-/// Pixels within two of a change of label or an edge of depth. Inverse depth is linear over the image of a plane, so its
-/// second difference distinguishes an edge from a slanted surface.
+/// Marks pixels within two pixels of a change of label or a depth edge. Inverse depth is linear over the image of a
+/// plane, so its second difference distinguishes an edge from a slanted surface.
 fn silhouettes(view: &TrueView) -> Vec<bool> {
     const REACH: usize = 2;
     const RELATIVE: f32 = 0.02;
@@ -146,11 +146,11 @@ fn silhouettes(view: &TrueView) -> Vec<bool> {
     (0..w * h).map(|i| near(i % w, i / w)).collect()
 }
 
-/// Mean intersection over union of shown with true labels over the classes that occur in the true views, the background
-/// included. `pairs` are shown labels (of the masks) with true views; `truth_of` maps mask labels to true labels. Every pixel
-/// of an unmatched label is wrong; an object without a label has 0.
+/// Returns the mean intersection over union of rendered and true labels over the classes that occur in the true views,
+/// including the background. `pairs` are rendered labels (of the masks) with true views; `truth_of` maps mask labels to
+/// true labels. Every pixel of an unmatched label is wrong; an object without a label has IoU 0.
 pub fn mean_iou(pairs: &[(&LabelMap, &TrueView)], truth_of: &[u16], classes: usize) -> f64 {
-    // One more row for labels that match nothing.
+    // One additional row for unmatched labels.
     let mut overlaps = Overlaps::new(classes + 1, classes);
     let mut occurs = vec![false; classes];
     for (shown, truth) in pairs {
@@ -189,7 +189,7 @@ mod tests {
         let mut errors = DepthErrors::default();
         errors.add(&shown, &truth, &measured);
         let s = errors.scores();
-        // The last pixel is beyond the measured range, the fifth shows nothing.
+        // The last pixel is beyond the measured range, the fifth is empty.
         assert!((s.coverage - 6.0 / 7.0).abs() < 1e-12);
         assert!((s.mae_m - (5.0 * 0.001 + 0.1) / 6.0).abs() < 1e-6 && (s.median_m - 0.001).abs() < 1e-6);
         assert!((s.inner_mae_m - 0.001).abs() < 1e-6, "the object's border is left out");

@@ -15,7 +15,7 @@ pub struct Overlaps {
 }
 
 impl Overlaps {
-    /// Nothing counted, for labels below `rows` of the one kind and below `columns` of the other.
+    /// Creates empty counts for labels below `rows` and below `columns`.
     pub fn new(rows: usize, columns: usize) -> Self {
         Self { rows, columns, counts: vec![0; rows * columns] }
     }
@@ -43,8 +43,8 @@ impl Overlaps {
     }
 }
 
-/// Returns the true label of each mask label: label 0, the background, is matched with itself; objects are matched one to
-/// one so that the sum of their intersections over union is largest; a label without an overlapping free object is
+/// Returns the true label of each mask label. Label 0, the background, is matched with itself. Objects are matched one
+/// to one so that the sum of their intersections over union is largest. A label without an overlapping free object is
 /// [`UNMATCHED`]. `overlaps` has mask labels as rows and true labels as columns.
 pub fn match_labels(overlaps: &Overlaps) -> Vec<u16> {
     let (masks, truths) = (overlaps.rows.saturating_sub(1), overlaps.columns.saturating_sub(1));
@@ -75,10 +75,10 @@ mod tests {
 
     #[test]
     fn labels_are_matched_one_to_one_by_best_overlap() {
-        // Labels 1 and 2 both overlap most with object 1; label 2 does so better, so label 1 takes object 2.
+        // Labels 1 and 2 both overlap most with object 1. Label 2 has the larger overlap, so label 1 gets object 2.
         let o = overlaps(&[&[100, 5, 5], &[0, 40, 30], &[0, 60, 0]]);
         assert_eq!(match_labels(&o), [0, 2, 1]);
-        // More labels than objects: the worst is unmatched. More objects than labels: one has no label.
+        // More labels than objects: the worst label is unmatched. More objects than labels: one object has no label.
         let o = overlaps(&[&[100, 0], &[0, 10], &[0, 50]]);
         assert_eq!(match_labels(&o), [0, UNMATCHED, 1]);
         let o = overlaps(&[&[100, 5, 90], &[0, 2, 10]]);

@@ -2,12 +2,12 @@
 //!
 //! - **Known models**: [`evaluate_object`] compares a mesh with a scanned or exact surface, [`SolidScores`] its mass
 //!   properties, [`match_objects`] assigns reconstructed objects to known ones.
-//! - **Truth of generated scenes**: [`true_surfaces`] and [`true_views`] give it; [`observed_surface`] is the part of a
-//!   surface that at least three cameras see. [`match_labels`] finds the true object of each mask label.
+//! - **Truth of generated scenes**: [`true_surfaces`] and [`true_views`]; [`observed_surface`] is the part of a surface
+//!   that at least three cameras see. [`match_labels`] finds the true object of each mask label.
 //! - **Colour and depth**: [`psnr_db`] of held-out views, all pixels; [`DepthErrors`] against noise-free depth.
 //! - **Labels**: [`mean_iou`] of rendered labels, [`score_masks`] of mask images.
-//! - **Surfaces**: points on the discs of an object's Gaussians ([`disc_points`]) against its true surface
-//!   ([`score_labelled`]). The figure of a scene is the mean over its objects.
+//! - **Surfaces**: points on the discs of an object's Gaussians ([`disc_points`]) compared with its true surface
+//!   ([`score_labelled`]). The score of a scene is the mean over its objects.
 //! - **Entities**: [`surface_figures`], [`solid_figures`], [`placed_figures`].
 //! - **Disturbed poses**: [`align_cameras`] and [`refine_on_surfaces`] align a result rigidly before it is measured.
 //! - **Methods**: [`paired_difference`] and [`paired_ratio`] compare two methods on the same scenes.
@@ -24,7 +24,7 @@
 //! ```
 //! use sms_core::glamx::DVec3;
 //! use sms_eval::{F1_M, SurfacePoint, score_surface};
-//! // A floor 2 mm too high is precise to 2.5 mm, and 2 mm off.
+//! // A floor 2 mm too high is within 2.5 mm.
 //! let observed: Vec<SurfacePoint> = (0..100)
 //!     .map(|i| SurfacePoint { point: DVec3::new(0.001 * f64::from(i), 0.0, 0.0), normal: DVec3::Z })
 //!     .collect();

@@ -1,13 +1,13 @@
-//! Scores of masks: label images of a source against the true ones, over all frames.
+//! Scores of masks: label images of a source, compared with the true ones over all frames.
 //!
-//! Labels and true objects are matched one to one ([`match_labels`]). An object counts as found when the label that it
-//! is matched with overlaps it by at least [`FOUND_IOU`], and a label counts as false when it has no such object.
+//! Labels and true objects are matched one to one ([`match_labels`]). An object counts as found when its matched label
+//! overlaps it by at least [`FOUND_IOU`], and a label counts as false when it has no such object.
 
 use crate::label_matching::{Overlaps, UNMATCHED, match_labels};
 use serde::{Deserialize, Serialize};
 use sms_core::Labels;
 
-/// Intersection over union from which an object counts as found.
+/// Smallest intersection over union of a found object.
 pub const FOUND_IOU: f64 = 0.5;
 
 /// Scores of one true object.
@@ -15,22 +15,22 @@ pub const FOUND_IOU: f64 = 0.5;
 pub struct MaskedObject {
     /// The object's name.
     pub name: String,
-    /// Intersection over union, pooled over all frames, with the label that it is matched with; 0 without one.
+    /// Intersection over union with the matched label, pooled over all frames; 0 without a label.
     pub iou: f64,
-    /// The largest share of the object that one label holds.
+    /// Largest share of the object within one label.
     pub held_share: f64,
 }
 
 /// Masks of one scene against the truth.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MaskScores {
-    /// Objects that any frame shows.
+    /// Objects that are visible in any frame.
     pub objects: Vec<MaskedObject>,
     /// Labels that occur.
     pub labels: usize,
     /// Labels that match no object.
     pub false_labels: usize,
-    /// Whether the truth marks every object: otherwise labels outside of its marks are not false.
+    /// Whether the truth marks every object. If not, labels outside its marks are not false.
     pub whole_truth: bool,
 }
 
@@ -57,8 +57,8 @@ impl MaskScores {
     }
 }
 
-/// Measures `found` against `truth`, label maps of the same frames. With `whole_truth` false, the truth marks some of the
-/// objects only.
+/// Scores `found` against `truth`, label maps of the same frames. If `whole_truth` is false, the truth marks only some
+/// of the objects.
 pub fn score_masks(truth: &Labels, found: &Labels, whole_truth: bool) -> MaskScores {
     let (rows, columns) = (found.class_count(), truth.class_count());
     let mut overlaps = Overlaps::new(rows, columns);
@@ -87,7 +87,7 @@ pub fn score_masks(truth: &Labels, found: &Labels, whole_truth: bool) -> MaskSco
     let occurs = |r: usize| counts[r].iter().any(|&n| n > 0);
     let is_false = |r: usize| {
         let hit = matched[r] != UNMATCHED && overlaps.iou(r, usize::from(matched[r])) >= FOUND_IOU;
-        // Where not all is marked, a label that lies outside of all marks may be right.
+        // If some objects are unmarked, a label outside all marks may be correct.
         let marked: u64 = counts[r][1..].iter().sum();
         !hit && (whole_truth || 2 * marked > counts[r].iter().sum::<u64>())
     };
@@ -116,14 +116,14 @@ mod tests {
     #[test]
     fn found_false_and_split_objects_are_counted() {
         let truth = labels(&[0, 1, 1, 1, 1, 2, 2, 2, 2, 0, 0, 3, 3], 4);
-        // Object 1 whole, object 2 in halves, object 3 missed, a label on the background. Object 4 is never seen.
+        // Object 1 whole, object 2 in halves, object 3 missed, a label on the background. Object 4 is not visible.
         let found = labels(&[0, 5, 5, 5, 5, 1, 1, 2, 2, 3, 3, 0, 0], 5);
         let s = score_masks(&truth, &found, true);
         assert_eq!((s.objects.len(), s.labels), (3, 4));
         assert_eq!(s.objects.iter().map(|o| o.iou).collect::<Vec<_>>(), [1.0, 0.5, 0.0]);
         assert_eq!((s.found(), s.false_labels), (2, 2));
         assert!((s.mean_iou() - 0.5).abs() < 1e-12 && (s.objects[1].held_share - 0.5).abs() < 1e-12);
-        // Without a whole truth, the label on the background may be right; the second half of object 2 is not.
+        // Without the whole truth, the label on the background may be correct; the second half of object 2 is not.
         assert_eq!(score_masks(&truth, &found, false).false_labels, 1);
     }
 }

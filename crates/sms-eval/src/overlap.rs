@@ -1,4 +1,4 @@
-//! How much of a solid its convex parts are.
+//! Overlap of a solid with its convex parts.
 
 use glamx::DVec3;
 use rayon::prelude::*;
@@ -7,7 +7,8 @@ use sms_core::{Entity, EntityShape, Mesh};
 /// Lines across the box of the solid, each way.
 const LINES: usize = 256;
 
-/// Returns the collision solids of an entity in the world: its parts, or its sphere, box or cylinder as a fine polyhedron.
+/// Returns the collision solids of an entity in the world: its parts, or its sphere, box or cylinder as a fine
+/// polyhedron.
 pub fn collision_solids(entity: &Entity) -> Vec<Mesh> {
     match &entity.shape {
         EntityShape::Sphere { center_w, radius } => {
@@ -24,9 +25,9 @@ pub fn collision_solids(entity: &Entity) -> Vec<Mesh> {
     }
 }
 
-/// Intersection over union of a closed solid and the union of closed parts, all in one frame. 65 536 lines along x through
-/// the box around everything are cut with the surfaces; along each line the measure is exact. Where surfaces overlap
-/// themselves, inside is where the winding number is positive. `None` if there is no volume.
+/// Intersection over union of a closed solid and the union of closed parts, all in one frame. 65 536 lines along x
+/// through the box around everything are cut with the surfaces; along each line the measure is exact. Where a surface
+/// intersects itself, points with a positive winding number are inside. `None` if there is no volume.
 pub(crate) fn parts_overlap(solid: &Mesh, parts: &[Mesh]) -> Option<f64> {
     let boxes = std::iter::once(solid).chain(parts).filter_map(Mesh::aabb);
     let bounds = boxes.reduce(|a, b| sms_core::Aabb { min: a.min.min(b.min), max: a.max.max(b.max) })?;
@@ -59,7 +60,7 @@ impl Lines {
         Self { low, step: [size.y, size.z].map(|s| (s / LINES as f64).max(1e-12)) }
     }
 
-    /// y or z of a line. The odd offset keeps lines off the vertices and edges of made-up shapes.
+    /// Returns y or z of a line. The odd offset keeps lines off the vertices and edges of synthetic shapes.
     fn at(&self, axis: usize, index: usize) -> f64 {
         self.low[axis + 1] + (index as f64 + 0.487_213_9) * self.step[axis]
     }
@@ -71,9 +72,9 @@ impl Lines {
         index(low).floor() as usize..((index(high).ceil() as usize) + 1).min(LINES)
     }
 
-    /// Where each line is inside a closed, outward oriented mesh: ranges of x in order.
+    /// Returns ranges of x in which each line is inside a closed, outward-oriented mesh, in order.
     fn spans(&self, mesh: &Mesh) -> Vec<Vec<[f64; 2]>> {
-        // x and how the winding number changes there.
+        // x of each crossing and the change of the winding number.
         let mut cuts: Vec<Vec<(f64, i32)>> = vec![Vec::new(); LINES * LINES];
         for t in 0..mesh.triangles.len() {
             let [a, b, c] = mesh.corners(t);
@@ -89,7 +90,7 @@ impl Lines {
                     let w = [edge(b, c), edge(c, a), edge(a, b)].map(|w| w / twice);
                     if w.iter().all(|w| *w >= 0.0) {
                         let x = a.x * w[0] + b.x * w[1] + c.x * w[2];
-                        // A face that looks to −x is entered.
+                        // A line enters through a face that points to −x.
                         cuts[j * LINES + i].push((x, if twice > 0.0 { -1 } else { 1 }));
                     }
                 }
@@ -147,13 +148,13 @@ mod tests {
 
     #[test]
     fn closed_forms() {
-        // Two cubes that tile a bar are all of it, overlapping or not; half of it is half of it.
+        // Two cubes that tile a bar cover all of it, with or without overlap; half of the bar is half of it.
         let bar = Mesh::cuboid(DVec3::new(0.1, 0.05, 0.05));
         assert!((parts_overlap(&bar, &[cube(-0.05), cube(0.05)]).unwrap() - 1.0).abs() < 1e-12);
         let overlapping = [cube(-0.05), cube(0.0), cube(0.05)];
         assert!((parts_overlap(&bar, &overlapping).unwrap() - 1.0).abs() < 1e-12);
         assert!((parts_overlap(&bar, &[cube(0.05)]).unwrap() - 0.5).abs() < 1e-12);
-        // A cube beside another overlaps with none of it; a third of the union when shifted by half.
+        // Separate cubes do not overlap; a shift by half a cube gives a third of the union.
         assert!(parts_overlap(&cube(0.0), &[cube(0.2)]).unwrap().abs() < 1e-12);
         assert!((parts_overlap(&cube(0.0), &[cube(0.05)]).unwrap() - 1.0 / 3.0).abs() < 1e-12);
         assert_eq!(parts_overlap(&cube(0.0), &[]), Some(0.0));
@@ -168,7 +169,7 @@ mod tests {
         let expected = ball.volume() / half.volume();
         let found = parts_overlap(&half.transformed(&turn), &[ball.transformed(&turn)]).unwrap();
         assert!((found / expected - 1.0).abs() < 2e-3, "{found} {expected}");
-        // A hollow: the same ball as a void inside the box, filled by the box as its part.
+        // A hollow box: the ball is a void, which the part fills.
         let mut hollow = half.clone();
         let first = hollow.vertices.len() as u32;
         hollow.vertices.extend(&ball.vertices);

@@ -1,15 +1,15 @@
-//! Placement errors of entities, in metres and over the standard errors that their own residuals show. The widths of the
-//! planner's perturbations are set by them (experiments/studies/plan.md).
+//! Placement errors of entities, in metres and in units of the standard errors estimated from their residuals. They
+//! determine the widths of the planner's perturbations (experiments/studies/plan.md).
 
 use crate::truth::TrueSurface;
 use glamx::DPose3;
 use sms_core::{Entity, EntityShape, polyhedron_mass_properties};
 use sms_scene::{Body, build_scene, example_material};
 
-/// Returns key and value of each figure of an entity: the horizontal distance of its centre of volume from the true one
-/// and, of a ball, the excess of its radius. Each is given in metres and over its standard error by the residuals
-/// (`fit_se_m` of the body; for a radius √3 less, because every point of the surface constrains it, and a third of them
-/// one coordinate of the centre). `x_tw` carries the entity's world into the truth's.
+/// Returns key and value of each placement metric of an entity: the horizontal distance of its centre of volume from
+/// the true one and, for a ball, the excess of its radius. Each is given in metres and in standard errors (`fit_se_m`
+/// of the body). For a radius, the standard error is smaller by √3: every point of the surface constrains the radius,
+/// but only a third constrain a coordinate of the centre. `x_tw` maps the entity's world to the truth's.
 pub fn placed_figures(entity: &Entity, x_tw: &DPose3, truth: &TrueSurface) -> Vec<(&'static str, f64)> {
     let Some(body) = body_of(entity) else { return Vec::new() };
     let se_m = body.fit_se_m;

@@ -1,4 +1,4 @@
-//! Volume, centre of mass and inertia of reconstructed solids against true ones, at equal density.
+//! Volume, centre of mass and inertia of reconstructed solids, compared with true ones at equal density.
 
 use glamx::{DMat3, DPose3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -8,15 +8,15 @@ use sms_core::{
     polyhedron_mass_properties, sphere_mass_properties,
 };
 
-/// How a reconstructed solid differs from the true one, both homogeneous.
+/// Difference between a reconstructed solid and the true one, both homogeneous.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SolidScores {
     /// Reconstructed over true volume.
     pub volume_ratio: f64,
     /// Distance between the centres of mass, metres.
     pub mass_center_error_m: f64,
-    /// Frobenius norm of the difference of the inertias about the centres of mass per unit of mass (m²), over that of the
-    /// true one: 0 for equal shapes of any size of mass.
+    /// Frobenius norm of the difference of the inertias per mass (m²) about the centres of mass, relative to the norm
+    /// of the true one: 0 for equal shapes.
     pub inertia_error: f64,
 }
 
@@ -32,7 +32,7 @@ impl SolidScores {
         }
     }
 
-    /// As `evaluate.<name>.*` metrics.
+    /// Returns the scores as `evaluate.<name>.*` metrics.
     pub fn metrics(&self, name: &str) -> Metrics {
         let mut m = Metrics::new();
         m.set(format!("evaluate.{name}.volume_ratio"), self.volume_ratio);
@@ -42,7 +42,8 @@ impl SolidScores {
     }
 }
 
-/// Returns the mass properties at 1 kg/m³ of an entity's solid in the world: its sphere, box or cylinder, else its mesh.
+/// Returns the mass properties at 1 kg/m³ of an entity's solid in the world: its sphere, box or cylinder, else its
+/// mesh.
 ///
 /// # Errors
 /// [`InertiaError`] when it encloses no volume.
@@ -57,7 +58,7 @@ pub fn entity_solid(entity: &Entity) -> Result<MassProperties, InertiaError> {
     }
 }
 
-/// Mass properties at 1 kg/m³ of a known solid in the world; `None` where the mesh is not closed.
+/// Returns the mass properties at 1 kg/m³ of a known solid in the world; `None` if the mesh is not closed.
 pub fn known_solid(mesh_w: &Mesh, sphere: Option<(DVec3, f64)>) -> Option<MassProperties> {
     match sphere {
         Some((center_w, radius)) => sphere_mass_properties(center_w, radius, 1.0).ok(),
@@ -66,7 +67,7 @@ pub fn known_solid(mesh_w: &Mesh, sphere: Option<(DVec3, f64)>) -> Option<MassPr
     }
 }
 
-/// Mass properties given in a frame `S`, in the world.
+/// Transforms mass properties from a frame `S` to the world.
 fn placed(mass: &MassProperties, x_ws: &DPose3) -> Result<MassProperties, InertiaError> {
     let turn = DMat3::from_quat(x_ws.rotation);
     MassProperties::new(

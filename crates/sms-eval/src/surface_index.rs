@@ -41,7 +41,7 @@ impl SurfaceIndex {
         Self::build((0..mesh.triangles.len()).map(|t| mesh.corners(t)).collect())
     }
 
-    /// As [`Self::new`], over points: a point is a triangle with three equal corners. `None` without points.
+    /// Like [`Self::new`], for points: a point is a triangle with three equal corners. `None` without points.
     pub fn of_points(points: &[DVec3]) -> Option<Self> {
         Self::build(points.iter().map(|&p| [p; 3]).collect())
     }
@@ -145,14 +145,14 @@ fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
     a + ab * (vb / sum) + ac * (vc / sum)
 }
 
-/// `count` points uniform per area over the mesh (stratified over the cumulative area, so that the same mesh and
-/// seed always give the same points).
+/// Returns `count` points uniform per area over the mesh (stratified over the cumulative area). The same mesh and seed
+/// always give the same points.
 pub fn sample_surface(mesh: &Mesh, count: usize, seed: Seed) -> Vec<DVec3> {
     let samples = sample_triangles(mesh, count, &mut seed.derive("sample_surface").rng());
     samples.into_iter().map(|(_, point)| point).collect()
 }
 
-/// The same with the index of each point's triangle, from a generator of the caller's.
+/// Like [`sample_surface`], with the index of each point's triangle, and with the caller's generator.
 pub(crate) fn sample_triangles(mesh: &Mesh, count: usize, rng: &mut StageRng) -> Vec<(usize, DVec3)> {
     let mut cumulative = Vec::with_capacity(mesh.triangles.len());
     let mut total = 0.0;

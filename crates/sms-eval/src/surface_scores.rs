@@ -1,4 +1,4 @@
-//! Reconstructed surfaces against true ones.
+//! Reconstructed surfaces, compared with true ones.
 
 use crate::label_matching::UNMATCHED;
 use crate::surface_index::SurfaceIndex;
@@ -9,10 +9,10 @@ use serde::{Deserialize, Serialize};
 use sms_core::{GOLDEN_ANGLE_RAD, QuantileRule, quantile};
 use sms_gaussians::GaussianModel;
 
-/// Distance within which a point counts as right, metres.
+/// Largest distance of a correct point, metres.
 pub const F1_M: f64 = 0.0025;
 
-/// How points are taken from discs.
+/// Settings for sampling points from discs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DiscSampling {
@@ -32,7 +32,7 @@ impl Default for DiscSampling {
     }
 }
 
-/// A reconstructed surface point with the label it came with.
+/// A reconstructed surface point with its label.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LabelledPoint {
     /// Position.
@@ -41,7 +41,8 @@ pub struct LabelledPoint {
     pub label: u16,
 }
 
-/// Points on the discs of the Gaussians, uniform by area (each disc is covered by a sunflower spiral), carried by `x_tw`.
+/// Returns points on the discs of the Gaussians, uniform by area (each disc is covered by a sunflower spiral),
+/// transformed by `x_tw`.
 pub fn disc_points(model: &GaussianModel, x_tw: &DPose3, sampling: &DiscSampling) -> Vec<LabelledPoint> {
     let mut points = Vec::new();
     for i in 0..model.len() {
@@ -72,7 +73,7 @@ pub fn disc_points(model: &GaussianModel, x_tw: &DPose3, sampling: &DiscSampling
 pub struct SurfaceScores {
     /// Median distance of the reconstruction's points to the true surface.
     pub median_m: f64,
-    /// 90 % quantile of the same.
+    /// 90 % quantile of this distance.
     pub p90_m: f64,
     /// Share of the reconstruction's points within [`F1_M`].
     pub precision: f64,
@@ -83,7 +84,7 @@ pub struct SurfaceScores {
 }
 
 impl SurfaceScores {
-    /// Of an object that was not found.
+    /// Scores of an object that was not found.
     pub fn missing() -> Self {
         Self { median_m: f64::NAN, p90_m: f64::NAN, precision: 0.0, recall: 0.0, f1: 0.0 }
     }
@@ -112,9 +113,10 @@ pub fn score_surface(
 pub struct SceneScores {
     /// Name and scores of each true object, in their order.
     pub objects: Vec<(String, SurfaceScores)>,
-    /// Mean over the objects: of medians and quantiles over those found, of precision, recall and F1 over all.
+    /// Mean over the objects: of medians and quantiles over found objects, of precision, recall and F1 over all
+    /// objects.
     pub mean: SurfaceScores,
-    /// True objects that have points.
+    /// Number of true objects with points.
     pub found: usize,
 }
 
@@ -134,9 +136,9 @@ fn scene_scores(objects: Vec<(String, SurfaceScores)>) -> SceneScores {
     SceneScores { objects, mean, found }
 }
 
-/// Scores each true object by the points of its matched label: `truth_of[label]` is the true label (object
-/// index + 1; 0: background, [`UNMATCHED`]: none). Distances are to that object's own surface, so that points with a
-/// wrong label are errors. Points of unmatched labels are ignored; see [`stray_share`].
+/// Scores each true object by the points of its matched label: `truth_of[label]` is the true label (object index + 1;
+/// 0: background, [`UNMATCHED`]: none). Distances are to the surface of this object, so that points with a wrong label
+/// are errors. Points of unmatched labels are ignored; see [`stray_share`].
 pub fn score_labelled(
     points: &[LabelledPoint],
     truth_of: &[u16],
@@ -160,7 +162,7 @@ pub fn score_labelled(
     )
 }
 
-/// Of the points with an object's label, the share with a label that matches no true object.
+/// Returns the share of the points with an object's label whose label matches no true object.
 pub fn stray_share(points: &[LabelledPoint], truth_of: &[u16]) -> f64 {
     let (mut all, mut stray) = (0usize, 0usize);
     for p in points.iter().filter(|p| p.label != 0) {
@@ -171,12 +173,12 @@ pub fn stray_share(points: &[LabelledPoint], truth_of: &[u16]) -> f64 {
     stray as f64 / all.max(1) as f64
 }
 
-/// Farther than this from every object, points without labels belong to none, metres.
+/// Points without labels belong to no object if they are farther than this from every object, metres.
 pub const CROP_M: f64 = 0.02;
 
-/// Scores points without labels, such as those of other programs: each point is assigned to the nearest object, and is left
-/// out if the floor (z = 0) is nearer or every object is more than [`CROP_M`] away. This uses the truth to separate objects
-/// from the floor, so its figures are not comparable with those of [`score_labelled`].
+/// Scores points without labels, such as those of other programs: each point is assigned to the nearest object. It is
+/// left out if the floor (z = 0) is closer, or every object is more than [`CROP_M`] away. This uses the truth to
+/// separate objects from the floor, so its figures are not comparable with those of [`score_labelled`].
 pub fn score_cropped(
     points: &[DVec3],
     surfaces: &[TrueSurface],
@@ -208,7 +210,7 @@ pub fn score_cropped(
     )
 }
 
-/// Whether a point could be nearer than [`CROP_M`] to a surface, by its box.
+/// Returns whether a point could be closer than [`CROP_M`] to a surface, by the bounding box.
 pub fn is_near(surface: &TrueSurface, p: DVec3) -> bool {
     let bounds = surface.mesh_box();
     let room = DVec3::splat(CROP_M);
@@ -228,7 +230,7 @@ mod tests {
             .unwrap()
     }
 
-    /// Points 1 mm apart over the side of a wall that faces +x, moved off it.
+    /// Points 1 mm apart on the side of a wall that faces +x, offset from the wall.
     fn facing(surface: &TrueSurface, off: f64) -> (Vec<SurfacePoint>, Vec<DVec3>) {
         let mut samples = sample_true_surface(surface, 0.001, Seed(1));
         samples.retain(|s| s.normal.x > 0.9);
@@ -245,7 +247,7 @@ mod tests {
             assert!((s.median_m - off).abs() < 1e-12 && (s.p90_m - off).abs() < 1e-12, "{s:?}");
             assert_eq!(s.f1, f1);
         }
-        // Half of the points missing: precise, half complete.
+        // Half of the points are missing: precision 1, recall one half.
         let (observed, points) = facing(&surface, 0.0);
         let half: Vec<DVec3> = points.into_iter().filter(|p| p.y > 0.0).collect();
         let s = score_surface(&half, |p| surface.distance(p), &observed);
@@ -270,10 +272,10 @@ mod tests {
         assert!((s.mean.median_m - 0.0015).abs() < 1e-12 && s.mean.f1 == 1.0 && s.found == 2);
         let stray = stray_share(&points, &[0, 2, 1, UNMATCHED]);
         assert!((stray - 100.0 / (points_a.len() + points_b.len() + 100) as f64).abs() < 1e-12);
-        // The wrong way round, everything is wrong.
+        // With exchanged labels, everything is wrong.
         let s = score_labelled(&points, &[0, 1, 2, UNMATCHED], &surfaces, &observed);
         assert!(s.mean.f1 == 0.0 && s.mean.median_m > 0.2);
-        // An object without points is missing: it counts in F1 and not in the median.
+        // An object without points is missing: it counts in F1 but not in the median.
         let s = score_labelled(&label(&points_a, 1), &[0, 1], &surfaces, &observed);
         assert!((s.mean.f1 - 0.5).abs() < 1e-12 && (s.mean.median_m - 0.001).abs() < 1e-12 && s.found == 1);
         // Without labels, the floor and points far from every object are left out.

@@ -1,6 +1,6 @@
-//! The truth that results are measured against: surfaces of the objects, their parts seen by cameras, noise-free views.
+//! The truth as a reference for results: surfaces of the objects, the parts visible to cameras, and noise-free views.
 //!
-//! Everything here is in the truth's world `T`, that of the generator; results come into it by `x_tw`.
+//! Everything is in the world `T` of the generator; `x_tw` maps results to this world.
 
 use crate::surface_index::{SurfaceIndex, sample_triangles};
 use glamx::{DPose3, DVec3};
@@ -15,7 +15,7 @@ use sms_synth::{CameraModel, DepthCamera, Renderer, TruthScene};
 pub struct TrueSurface {
     /// The object's name.
     pub name: String,
-    /// Closed surface in the truth's world; of a sphere, a polyhedron near it.
+    /// Closed surface in the truth's world; for a sphere, a polyhedron that approximates it.
     pub mesh: Mesh,
     /// Centre and radius of an exact sphere; its distances are exact.
     pub sphere: Option<(DVec3, f64)>,
@@ -94,19 +94,19 @@ pub fn sample_true_surface(surface: &TrueSurface, spacing: f64, seed: Seed) -> V
 
 /// Distance between samples of the observed surface, metres.
 pub const OBSERVED_SPACING_M: f64 = 0.001;
-/// Cameras that must see a point of the observed surface.
+/// Smallest number of cameras that see a point of the observed surface.
 pub const OBSERVED_BY: usize = 3;
 
-/// The observed surface of each object: samples [`OBSERVED_SPACING_M`] apart that at least [`OBSERVED_BY`] of the cameras
-/// see. A camera sees a point when it projects into the image, the surface faces the camera (positive cosine between
-/// normal and line of sight, however small), and no object hides it (a ray is cast against all true surfaces). `cameras`
-/// are the true ones of the frames that were trained on.
+/// Returns the observed surface of each object: samples [`OBSERVED_SPACING_M`] apart that at least [`OBSERVED_BY`] of
+/// the cameras see. A camera sees a point if the point projects into the image, the surface faces the camera (any
+/// positive cosine between normal and line of sight), and no object hides the point (a ray is cast against all true
+/// surfaces). `cameras` are the true ones of the training frames.
 pub fn observed_surface(surfaces: &[TrueSurface], cameras: &[Camera]) -> Vec<Vec<SurfacePoint>> {
     observed_surface_at_most(surfaces, cameras, usize::MAX)
 }
 
-/// The same with at most about `samples` samples before the unseen ones are left out: on large surfaces they are farther
-/// apart.
+/// Like [`observed_surface`], with at most about `samples` samples before the unseen ones are removed: on large
+/// surfaces they are farther apart.
 pub fn observed_surface_at_most(
     surfaces: &[TrueSurface],
     cameras: &[Camera],
@@ -146,7 +146,7 @@ impl Blockers {
     }
 
     fn sees(&self, camera: &Camera, s: &SurfacePoint) -> bool {
-        /// Rays start this far off the surface, so that it does not hide itself.
+        /// Rays start this far off the surface, so that the surface does not hide its own points.
         const LIFT_M: f64 = 1e-5;
         let to_eye = camera.center_w() - s.point;
         if to_eye.dot(s.normal) <= 0.0 {
@@ -244,7 +244,7 @@ mod tests {
         let cameras = ring(0.0, 12);
         let all = observed_surface(&[ball], &cameras)[0].len();
         assert!(all > 28_000, "{all}");
-        // Seen from +x alone, a ball in front hides all of the one behind.
+        // From +x alone, a ball in front hides all of the ball behind.
         let near = [cameras[0]; 3];
         let observed = observed_surface(&[sphere(0.0, "back"), sphere(0.3, "front")], &near);
         assert!(observed[0].is_empty() && observed[1].len() > 10_000);

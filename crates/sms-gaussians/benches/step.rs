@@ -1,7 +1,7 @@
 //! Milliseconds of one full training step on the CPU, split by part, in every compiled form that this CPU can run.
 //!
-//! `cargo bench -p sms-gaussians --bench step [-- THREADS] [portable|avx2|avx512|detected]… [share=SHARE]`. The scene is a
-//! wall of discs about as dense as a scan leaves them.
+//! `cargo bench -p sms-gaussians --bench step [-- THREADS] [portable|avx2|avx512|detected]… [share=SHARE]`. The scene
+//! is a wall of discs about as dense as a scan leaves them.
 
 mod scene;
 

@@ -219,8 +219,8 @@ impl Explanation<'_> {
     }
 
     /// The best shot of a search world among those that still touch its body, and the number of shots tried. The first
-    /// half of the budget goes to shots that were tried in the scanned world, from the best to the worst; the other half
-    /// to a simplex search.
+    /// half of the budget goes to shots that were tried in the scanned world, from the best to the worst; the other
+    /// half to a simplex search.
     fn best_in(
         &self,
         world: &mut SearchWorld<'_>,

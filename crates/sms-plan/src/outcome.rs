@@ -16,8 +16,8 @@ pub struct PlanOutcome {
 }
 
 impl PlanOutcome {
-    /// `plan.{evaluations, objective, objective_q90, objective_unit, invalid, refused, striker, strategies}` and, with perturbed worlds,
-    /// `plan.predicted_{mean, q10, q50, q90, success_share, worlds}`.
+    /// `plan.{evaluations, objective, objective_q90, objective_unit, invalid, refused, striker, strategies}` and, with
+    /// perturbed worlds, `plan.predicted_{mean, q10, q50, q90, success_share, worlds}`.
     pub fn metrics(&self) -> Metrics {
         let mut metrics = Metrics::new();
         metrics

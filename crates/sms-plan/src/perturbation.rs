@@ -7,8 +7,8 @@ use sms_core::{Aabb, MassProperties, Material, Property, QuantileRule, Seed};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::StrikerMotion;
 
-/// Largest scan errors as multiples of the standard errors of the fit, rounded up (experiments/studies/plan.md): position of a
-/// ball, radius of a ball, position of another object.
+/// Largest scan errors as multiples of the standard errors of the fit, rounded up (experiments/studies/plan.md):
+/// position of a ball, radius of a ball, position of another object.
 const BALL_RATIO: f64 = 2.0;
 const RADIUS_RATIO: f64 = 5.0;
 const OBJECT_RATIO: f64 = 15.0;

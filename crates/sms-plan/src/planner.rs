@@ -32,15 +32,18 @@ const RECORD_EVERY_S: f64 = 1.0 / 120.0;
 
 /// Plans an action for a task.
 ///
-/// The planner searches the actions in the nominal world. It then chooses by the outcomes in perturbed worlds: materials
-/// sampled within their intervals, small errors of object poses, radii and the strike. All candidates meet the same worlds.
+/// The planner searches the actions in the nominal world. It then chooses by the outcomes in perturbed worlds:
+/// materials sampled within their intervals, small errors of object poses, radii and the strike. All candidates meet
+/// the same worlds.
 ///
-/// Candidates are distinct actions that improve on doing nothing, from the nominal search and from a scan of the perturbed
-/// worlds. They are tried in a few worlds, simplex searches start from the best of them, and the better half is tried in
-/// twice as many worlds until half of the worlds are used. The best few are then tried in the other half, and the smallest
-/// [`PlanConfig::objective`] over all worlds wins. Its prediction comes from worlds that played no part in the choice.
+/// Candidates are distinct actions that improve on doing nothing, from the nominal search and from a scan of the
+/// perturbed worlds. They are tried in a few worlds, simplex searches start from the best of them, and the better half
+/// is tried in twice as many worlds until half of the worlds are used. The best few are then tried in the other half,
+/// and the smallest [`PlanConfig::objective`] over all worlds wins. Its prediction comes from worlds that played no
+/// part in the choice.
 ///
-/// The plan is the same for any number of threads of rayon's current pool. The planner uses only `scene`, never the truth.
+/// The plan is the same for any number of threads of rayon's current pool. The planner uses only `scene`, never the
+/// truth.
 ///
 /// # Errors
 /// [`PlanError`]: bad settings, a scene that cannot be simulated, no strike within the robot's reach, or interruption.
@@ -138,7 +141,8 @@ struct SearchCounts {
     refused: Vec<Refusal>,
 }
 
-/// The outcome of a shot in a forecast world. A simulated one has the strategy that it followed and the bodies it touched.
+/// The outcome of a shot in a forecast world. A simulated one has the strategy that it followed and the bodies it
+/// touched.
 type ForecastOutcome = (RolloutOutcome, Option<(String, BTreeSet<BodyId>)>);
 
 fn outcomes(row: &[ForecastOutcome]) -> Vec<RolloutOutcome> {
@@ -220,8 +224,8 @@ impl<'a> Planning<'a> {
         Ok(chosen)
     }
 
-    /// Tries the chosen actions in worlds that played no part in the choice: in the worlds of the choice, the winner looks
-    /// better than it is.
+    /// Tries the chosen actions in worlds that played no part in the choice: in the worlds of the choice, the winner
+    /// looks better than it is.
     fn forecast(&mut self, chosen: &[RobustCandidate]) -> Result<Vec<Vec<ForecastOutcome>>, PlanError> {
         let session = self.session;
         let first = 2 * session.config.perturbation.worlds;
@@ -254,8 +258,8 @@ impl<'a> Planning<'a> {
         SearchCounts { searched: self.evaluations + scanned + total(&refused) - struck, refused }
     }
 
-    /// Records the motion of an action in the nominal world. `None` where the rollout is not valid to its end, which may
-    /// come after the moment that decides the objective.
+    /// Records the motion of an action in the nominal world. `None` where the rollout is not valid to its end, which
+    /// may come after the moment that decides the objective.
     fn record(&self, action: &Action) -> Result<Option<Rollout>, PlanError> {
         let recording = MotionRecording { every_s: RECORD_EVERY_S };
         match self.session.nominal.rollout(&self.session.task.strike(action), Some(recording)) {

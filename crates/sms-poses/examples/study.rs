@@ -1,9 +1,9 @@
-//! Measures pose refinement on recordings with known poses: `study [key=value …] RECORDING …`.
+//! Evaluates pose refinement on recordings with known poses: `study [key=value …] RECORDING …`.
 //!
 //! Keys: `mm` and `deg` (standard deviation of the disturbance per axis, default 10 and 0.5), `seed`, `side` (longer
 //! image side), `shift` (colour against depth, pixels), `drop` (share of depth removed), any number of [`PosesConfig`]
-//! by name. A recording `…-N` that does not exist is generated (billiards, seed N). Prints, for each recording, errors of
-//! points at 0.8 m and of poses before and after, and the judgement.
+//! by name. A recording `…-N` that does not exist is generated (billiards, seed N). Prints, for each recording, errors
+//! of points at 0.8 m and of poses before and after, and the judgement.
 
 use glamx::{DPose3, DQuat, DVec3};
 use rand::RngExt;

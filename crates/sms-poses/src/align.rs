@@ -13,12 +13,12 @@ pub struct PoseErrors {
     pub position_rms_m: f64,
     /// Root mean square error of the camera rotations, radians.
     pub rotation_rms_rad: f64,
-    /// Carries points of the given poses' world to the truth's.
+    /// Maps points of the given poses' world to the truth's.
     pub x_true_given: DPose3,
 }
 
-/// Compares camera poses `X_WC` with the true ones of the same frames. The two worlds are aligned rigidly by points
-/// that the cameras see at 0.6 to 1.4 of the distance `at_m`, up to 20° beside the axis.
+/// Compares camera poses `X_WC` with the true ones of the same frames. The two worlds are aligned rigidly by points in
+/// front of the cameras, at 0.6 to 1.4 times the distance `at_m` and up to 20° off the axis.
 ///
 /// # Panics
 /// If the numbers of poses differ.
@@ -54,8 +54,8 @@ pub fn compare_poses(given: &[DPose3], truth: &[DPose3], at_m: f64) -> PoseError
     }
 }
 
-/// Returns the least-squares rigid motion that carries `from` to `to`, by Gauss-Newton from the identity: for motions
-/// well below half a turn.
+/// Returns the least-squares rigid motion that maps `from` to `to`, by Gauss-Newton from the identity: for motions well
+/// below half a turn.
 pub fn align_rigidly(from: &[DVec3], to: &[DVec3]) -> DPose3 {
     let mut x = DPose3::identity();
     let n = from.len().min(to.len());
@@ -80,7 +80,7 @@ pub fn align_rigidly(from: &[DVec3], to: &[DVec3]) -> DPose3 {
                 }
             }
         }
-        // Points on a line leave one rotation undetermined: the damping keeps it.
+        // Points on a line leave one rotation undetermined: the damping keeps it unchanged.
         (0..3).for_each(|i| h[i][i] += 1e-12 * n as f64);
         let Some(l) = Cholesky::<6>::new(&h, 6) else { break };
         let mut step = g.map(|v| -v);

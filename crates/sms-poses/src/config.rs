@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
 use sms_frames::DepthNoise;
 
-/// When refined poses are used.
+/// Condition for the use of refined poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PosesMode {
@@ -25,37 +25,39 @@ pub enum PosesMode {
 pub struct PosesConfig {
     /// Whether poses are refined.
     pub mode: PosesMode,
-    /// Depth noise of the sensor: it weighs depth against colour, and both against the given poses.
+    /// Depth noise of the sensor. It determines the weight of depth relative to colour, and of both relative to the
+    /// given poses.
     pub noise: DepthNoise,
     /// Standard deviation of the given camera positions per axis. It pulls the result to the given poses where the
     /// images do not determine it.
     pub prior_position_m: f64,
     /// Standard deviation of the given camera rotations per axis.
     pub prior_rotation_rad: f64,
-    /// Partners of each frame: those with the most overlap from a similar side.
+    /// Number of partners of each frame: those with the most overlap from a similar side.
     pub neighbours: usize,
-    /// Partners of each frame that look from farther around, so that small errors do not add up along the path.
+    /// Number of partners of each frame with a more different direction, so that small errors do not add up along the
+    /// path.
     pub far_neighbours: usize,
     /// Standard deviation of colour where the image is flat, levels.
     pub color_sigma: f64,
-    /// Error of colour per gradient: how far the images of one point may slip against each other, pixels of the level.
+    /// Error of colour per gradient: the assumed misalignment between the images of one point, pixels of the level.
     pub color_slip_px: f64,
-    /// Minimum gradient of a point that is compared by colour, levels per pixel. Below it, noise looks like texture.
+    /// Minimum gradient of a point for comparison by colour, levels per pixel. Below it, noise looks like texture.
     pub min_gradient: f64,
-    /// Standard deviation of the shift of colour against depth that is estimated along with the poses, pixels at loaded
-    /// size; 0 takes both for registered exactly.
+    /// Standard deviation of the shift of colour against depth, which is estimated along with the poses, pixels at
+    /// loaded size. With 0, both are exactly registered.
     pub prior_color_shift_px: f64,
-    /// Share of the measurements that counts as independent of its neighbours; scales both data terms.
+    /// Share of the measurements that counts as independent; scales both data terms.
     pub independent_share: f64,
     /// Whether depth is compared.
     pub use_depth: bool,
     /// Whether colour is compared.
     pub use_color: bool,
-    /// Longest side of the finest images that are compared, pixels; each coarser level has half of it.
+    /// Longest side of the finest images, pixels; each coarser level has half the size.
     pub finest_long_side: usize,
-    /// Maximum iterations of each level, the finest first; the length is the number of levels.
+    /// Maximum iterations of each level, starting with the finest; the length is the number of levels.
     pub iterations: Vec<usize>,
-    /// Distance of the compared points, pixels of the level.
+    /// Distance between compared points, pixels of the level.
     pub point_stride: f64,
 }
 

@@ -6,14 +6,14 @@ use glamx::DPose3;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// Points of a frame that are carried into the others to measure their overlap.
+/// Number of points of a frame that are projected into the others to estimate their overlap.
 const SAMPLES: usize = 150;
 /// Minimum overlap of a pair.
 const LEAST_OVERLAP: f64 = 0.2;
-/// Largest difference between a carried point's depth and the measured one on the same surface, as a share of the depth:
-/// given poses may be wrong by centimetres.
+/// Largest difference between the depth of a projected point and the measured depth on the same surface, as a share of
+/// the depth: given poses may be wrong by centimetres.
 const SAME_SURFACE: f64 = 0.06;
-/// Minimum number of carried points that land on a measured pixel.
+/// Minimum number of projected points on measured pixels.
 const LEAST_MEASURED: usize = 8;
 /// Largest angle between viewing directions of frames that see the same side of the objects.
 const NEAR_ANGLE_RAD: f64 = 0.7;
@@ -25,7 +25,7 @@ const FAR_ANGLE_RAD: f64 = 1.4;
 pub(crate) struct Graph {
     /// Pairs that the refinement uses.
     pub(crate) pairs: Vec<(usize, usize)>,
-    /// Pairs held out for the judgement.
+    /// Pairs held out for the comparison of poses.
     pub(crate) held_out: Vec<(usize, usize)>,
 }
 
@@ -37,8 +37,8 @@ struct FrameOverlap {
     angle: f64,
 }
 
-/// Chooses pairs by overlap: for each frame its best partners from a similar side, some from farther around, and the next
-/// best of both kinds for the judgement.
+/// Chooses pairs by overlap: for each frame the best partners from a similar side, some with a more different
+/// direction, and the next best of both kinds as held-out pairs.
 pub(crate) fn choose_pairs(views: &[PreparedFrame], x_wc: &[DPose3], config: &PosesConfig) -> Graph {
     let samples: Vec<Vec<Point>> = views.iter().map(|v| sampled_points(v, config)).collect();
     let overlaps: Vec<Vec<FrameOverlap>> = (0..views.len())
@@ -62,7 +62,7 @@ pub(crate) fn choose_pairs(views: &[PreparedFrame], x_wc: &[DPose3], config: &Po
         };
         for (list, wanted) in [(ordered(true), config.neighbours), (ordered(false), config.far_neighbours)] {
             let held = (wanted / 4).max(usize::from(wanted > 0));
-            // With few partners, all but one are used.
+            // If there are few partners, all but one are used.
             let used = wanted.min(list.len().saturating_sub(1).max(1));
             for (rank, o) in list.iter().take(used + held).enumerate() {
                 let pair = (i.min(o.other), i.max(o.other));
@@ -86,7 +86,8 @@ fn sampled_points(view: &PreparedFrame, config: &PosesConfig) -> Vec<Point> {
     all.into_iter().step_by(step).collect()
 }
 
-/// Computes the overlap of frames i and j: the smaller of the shares of either's points that the other sees.
+/// Computes the overlap of frames i and j: the share of each frame's points that the other frame sees, and of the two
+/// shares the smaller.
 fn overlap(
     i: usize,
     j: usize,
@@ -103,7 +104,7 @@ fn overlap(
     let seen = |points: &[Point], from: usize, to: usize| {
         let x = x_wc[to].inverse() * x_wc[from];
         let k = &views[to].intrinsics;
-        // Points in the image, those of them on a measured pixel, and those of them on the same surface.
+        // Points in the image, points on a measured pixel, and points on the same surface.
         let (mut landed, mut measured, mut met) = (0usize, 0usize, 0usize);
         for p in points {
             let q = x.transform_point(p.p_c);
@@ -116,7 +117,7 @@ fn overlap(
                 }
             }
         }
-        // Holes in the depth do not reduce the overlap, but a handful of measurements proves nothing.
+        // Holes in the depth do not reduce the overlap, but a handful of measurements is not enough.
         let share = |n: usize, of: usize| n as f64 / of.max(1) as f64;
         if measured < LEAST_MEASURED { 0.0 } else { share(landed, points.len()) * share(met, measured) }
     };

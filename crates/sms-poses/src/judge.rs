@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// Residuals of the held-out pairs under one set of poses.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Consistency {
-    /// Median distance of a frame's points to the surface that another frame measured, metres; `None` without pairs.
+    /// Median distance of a frame's points to the surface measured by another frame, metres; `None` without pairs.
     pub depth_median_m: Option<f64>,
     /// Median difference of brightness, 8-bit levels.
     pub color_median: Option<f64>,
@@ -23,7 +23,7 @@ pub struct Consistency {
 /// Reduction of one kind of residual.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Gain {
-    /// Reduction of the mean residual, as a share of it.
+    /// Reduction of the mean residual, relative to it.
     pub share: f64,
     /// Mean over standard error of the reduction, over pairs of frames.
     pub t: f64,
@@ -54,12 +54,12 @@ pub struct Judgement {
     pub depth: Gain,
     /// Change of colour residuals.
     pub color: Gain,
-    /// Pairs of frames that were judged.
+    /// Number of compared pairs of frames.
     pub pairs: usize,
 }
 
 impl Judgement {
-    /// Returns whether the refined poses are significantly better by depth or by colour, and worse by neither.
+    /// Returns whether the refined poses are significantly better by depth or by colour, and not worse by the other.
     pub fn improved(&self) -> bool {
         (self.depth.better() || self.color.better()) && !self.depth.worse() && !self.color.worse()
     }
@@ -76,7 +76,7 @@ const LEAST_PAIRS: usize = 4;
 pub(crate) fn judge(problem: &BundleAdjustment<'_>, refined: &[DPose3], color_shift: [f64; 2]) -> Judgement {
     let pairs = &problem.graph.held_out;
     let pairs = if pairs.len() < LEAST_PAIRS { &problem.graph.pairs } else { pairs };
-    // The refinement uses the grid that begins at half a step.
+    // The refinement uses the grid with an offset of half a step.
     let points: Vec<Vec<Point>> = problem
         .views
         .par_iter()

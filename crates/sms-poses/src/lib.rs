@@ -1,20 +1,21 @@
 //! Pose refinement: dense RGB-D bundle adjustment over a loaded sequence.
 //!
 //! Camera poses from motion capture, a phone or a robot's arm are off by millimetres to centimetres, and every surface
-//! that is fused from them is smeared by as much. [`refine_poses`] corrects all of them at once, before masks and scan:
+//! fused from them is blurred by as much. [`refine_poses`] corrects all of them at once, before masks and scan:
 //!
-//! - each frame is compared with the frames that overlap most with it, and with some from farther around;
-//! - points of one frame are carried into the other, where their distance to the measured surface (point to plane) and
-//!   their difference in brightness are residuals, each weighted by its noise; a plane such as a table top fixes three
-//!   directions by depth and the others by its texture;
-//! - all corrections are solved for together (Gauss-Newton with robust weights, coarse to fine; conjugate gradients over
-//!   6 × 6 blocks), with a weak prior at the given poses. No single frame is held fixed: at the end all cameras together
-//!   are moved so that the measured points lie, in the least-squares sense, where the given poses put them;
+//! - each frame is compared with the frames of largest overlap, and with some from more different directions;
+//! - points of one frame are projected into the other. The residuals are their distance to the measured surface (point
+//!   to plane) and their difference in brightness, each weighted by its noise. A plane such as a table top constrains
+//!   three directions by depth and the others by its texture;
+//! - all corrections are solved for together (Gauss-Newton with robust weights, coarse to fine; conjugate gradients
+//!   over 6 × 6 blocks), with a weak prior at the given poses. No single frame is held fixed: at the end, all cameras
+//!   are moved rigidly so that the measured points are closest, in the least-squares sense, to their positions under
+//!   the given poses;
 //! - gain and offset of the brightness are fitted to each pair, and one shift of the colour against the depth to all
 //!   frames: without it, colour that is off by a few pixels would bias all poses to one side.
 //!
-//! [`PosesMode::Auto`] then compares: pairs of frames and points that the refinement did not use must agree
-//! significantly better than before; otherwise the given poses are kept.
+//! [`PosesMode::Auto`] uses the result only if held-out pairs of frames and points agree significantly better than
+//! before; otherwise the given poses are kept.
 //!
 //! The direct alignment follows Kerl, Sturm and Cremers, "Dense visual SLAM for RGB-D cameras" (IROS 2013), and Whelan
 //! et al., "Robust real-time visual odometry for dense RGB-D mapping" (ICRA 2013); adjusting all poses at once with

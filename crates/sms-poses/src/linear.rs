@@ -14,7 +14,7 @@ pub(crate) struct System {
     pub(crate) pairs: Vec<(usize, usize, Block)>,
     pub(crate) own: Vec<Block>,
     pub(crate) gradient: Vec<Six>,
-    /// Coupling of the colour shift with each frame, and its own part.
+    /// Coupling of the colour shift with each frame, and the block of the colour shift.
     by_shift: [Vec<Six>; 2],
     shift_h: [[f64; 2]; 2],
     shift_g: [f64; 2],
@@ -82,8 +82,9 @@ impl System {
         y
     }
 
-    /// Returns the minimiser: corrections of the poses and of the colour shift. The shift's two columns are eliminated by
-    /// separate solutions and used only if they are determined. `None` if a diagonal block is not positive definite.
+    /// Returns the minimiser: corrections of the poses and of the colour shift. The two columns of the shift are
+    /// eliminated by separate solutions, and used only if the shift is determined. `None` if a diagonal block is not
+    /// positive definite.
     pub(crate) fn solve(&self) -> Option<(Vec<Six>, [f64; 2])> {
         let factors = self.diagonal_factors()?;
         let without = self.conjugate_gradients(&factors, &self.gradient);
@@ -128,8 +129,8 @@ impl System {
         diagonal.iter().map(|h| Cholesky::new(h, 6)).collect()
     }
 
-    /// Solves for one right side by conjugate gradients, preconditioned with the diagonal blocks: memory and time grow
-    /// with the number of pairs, not with the square of the frames.
+    /// Solves for one right side by conjugate gradients, preconditioned with the diagonal blocks. Memory and time grow
+    /// with the number of pairs instead of the square of the number of frames.
     fn conjugate_gradients(&self, factors: &[Cholesky<6>], right: &[Six]) -> Vec<Six> {
         const RELATIVE: f64 = 1e-9;
         let n = self.own.len();
@@ -199,7 +200,7 @@ mod tests {
         h
     }
 
-    /// Gaussian elimination with pivoting, the oracle.
+    /// Gaussian elimination with pivoting, as the reference.
     fn dense_solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
         let n = b.len();
         for c in 0..n {

@@ -5,8 +5,9 @@ use sms_core::{ColorImage, Image};
 /// A brightness image, 8-bit levels.
 pub(crate) type Luma = Image<f32>;
 
-/// Computes the brightness (Rec. 601 weights of the stored sRGB values), smoothed by [1 2 1] / 4 both ways: bilinear interpolation of
-/// an unsmoothed image changes its sharpness with the sub-pixel position, which pulls matches to pixel centres.
+/// Computes the brightness (Rec. 601 weights of the stored sRGB values), smoothed by [1 2 1] / 4 both ways. Without
+/// smoothing, the sharpness of a bilinearly interpolated image would depend on the sub-pixel position, which attracts
+/// matches to pixel centres.
 pub(crate) fn luma(color: &ColorImage) -> Luma {
     smooth(&color.map(|&[r, g, b]| 0.299 * f32::from(r) + 0.587 * f32::from(g) + 0.114 * f32::from(b)))
 }
@@ -44,8 +45,8 @@ pub(crate) fn half(image: &Luma) -> Luma {
     out
 }
 
-/// Returns the bilinear value at image-plane coordinates (u, v) with its exact derivative by u and v; `None` within half a pixel
-/// of the border and beyond.
+/// Returns the bilinear value at image-plane coordinates (u, v) with its exact derivatives with respect to u and v;
+/// `None` within half a pixel of the border and beyond.
 pub(crate) fn sample(image: &Luma, u: f64, v: f64) -> Option<(f64, f64, f64)> {
     let (x, y) = (u - 0.5, v - 0.5);
     if !(x >= 0.0 && y >= 0.0 && x < (image.width - 1) as f64 && y < (image.height - 1) as f64) {

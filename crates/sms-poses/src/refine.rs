@@ -19,7 +19,7 @@ pub(crate) struct BundleAdjustment<'a> {
     pub(crate) given: &'a [DPose3],
     pub(crate) graph: Graph,
     pub(crate) config: &'a PosesConfig,
-    /// Corrections turn about this point.
+    /// Centre of rotation of the corrections.
     pub(crate) center_w: DVec3,
 }
 
@@ -42,7 +42,7 @@ pub(crate) struct LinearisationPoint<'a> {
     pub(crate) color_shift: [f64; 2],
 }
 
-/// One direction of a pair: points of `from` are carried into `to`.
+/// One direction of a pair: points of `from` are projected into `to`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Arc {
     pub(crate) from: usize,
@@ -72,13 +72,13 @@ impl<'a> BundleAdjustment<'a> {
         Self { views, given, graph: choose_pairs(views, given, config), config, center_w }
     }
 
-    /// Returns the frames without a pair, which only the prior constrains.
+    /// Returns the frames without a pair; only the prior constrains them.
     pub(crate) fn frames_without_pairs(&self) -> Vec<usize> {
         let paired: BTreeSet<usize> = self.graph.pairs.iter().flat_map(|&(i, j)| [i, j]).collect();
         (0..self.given.len()).filter(|i| !paired.contains(i)).collect()
     }
 
-    /// Returns the first gate for carried points, metres: the errors of the given poses at the scene's distance.
+    /// Returns the first gate for projected points, metres: the errors of the given poses at the scene's distance.
     pub(crate) fn widest_gate_m(&self) -> f64 {
         let distance =
             self.given.iter().map(|x| (x.translation - self.center_w).length()).fold(0.0, f64::max).min(10.0);
@@ -108,7 +108,7 @@ impl<'a> BundleAdjustment<'a> {
             .collect()
     }
 
-    /// Adds the pull to the given pose: turn and camera position, each with its standard deviation.
+    /// Adds the prior at the given pose: rotation and camera position, each with its standard deviation.
     fn add_prior(&self, system: &mut System, frame: usize, pose: &DPose3) {
         let given = &self.given[frame];
         let turned = (pose.rotation * given.rotation.inverse()).to_scaled_axis();
@@ -186,7 +186,7 @@ impl<'a> BundleAdjustment<'a> {
             }
             *weighing = self.weighing_after(&sums, weighing);
             tick(&format!("step {:.2} mm", 1e3 * largest));
-            // Smaller steps change no association.
+            // Smaller steps do not change the associated pixels.
             if largest < 0.02 * pixel_m {
                 return Ok(iteration + 1);
             }
@@ -194,7 +194,7 @@ impl<'a> BundleAdjustment<'a> {
         Ok(config.iterations[level])
     }
 
-    /// Returns the metres across one pixel of a level at the scene.
+    /// Returns the size of one pixel of a level at the scene, metres.
     fn pixel_at_scene_m(&self, level: usize) -> f64 {
         let (mut sum, n) = (0.0, self.views.len().max(1));
         for (view, x) in self.views.iter().zip(self.given) {
@@ -204,7 +204,7 @@ impl<'a> BundleAdjustment<'a> {
         sum / n as f64
     }
 
-    /// Returns the robust scales after a pass: its typical residuals, but at least the noise.
+    /// Returns the robust scales after a pass: the typical residuals, but at least the noise.
     pub(crate) fn weighing_after(&self, sums: &[PairSums], before: &Weighing) -> Weighing {
         let mut seen = ResidualStats::default();
         sums.iter().for_each(|pair| seen.merge(&pair.seen));
@@ -251,7 +251,7 @@ impl<'a> BundleAdjustment<'a> {
             iterations += self.refine_level(level, &mut estimate, free, cancel, tick)?;
             done += self.config.iterations[level];
         }
-        // Registered cameras also yield a shift of some tenths of a pixel. Applying it does more harm than good.
+        // Registered cameras also give a shift of some tenths of a pixel; applying it makes results worse.
         const LEAST_SHIFT_PX: f64 = 0.75;
         let [du, dv] = estimate.color_shift;
         if free && du.hypot(dv) < LEAST_SHIFT_PX {

@@ -23,7 +23,7 @@ pub enum PoseVerdict {
     Off,
     /// The refined poses are used.
     Refined,
-    /// They were no significant improvement (`auto`), so the given poses are used.
+    /// The refined poses were not significantly better (`auto`), so the given poses are used.
     GivenAreAsGood,
     /// Nothing could be refined: too few frames, or no overlap.
     NotPossible,
@@ -42,7 +42,7 @@ pub struct PoseReport {
     pub color_shift_px: [f64; 2],
     /// Correction of each frame.
     pub corrections: Vec<PoseCorrection>,
-    /// Given against refined poses on held-out pairs.
+    /// Comparison of given and refined poses on held-out pairs.
     pub judgement: Judgement,
 }
 

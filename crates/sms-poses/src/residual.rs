@@ -1,11 +1,12 @@
 //! Residuals of one pair of frames and their normal equations.
 //!
-//! A point of frame i is carried into camera j by `X_ji`. Two residuals compare it with j's measurement there:
-//! - depth: its distance to the plane through j's measured point (point to plane, projective association);
-//! - colour: j's brightness, less i's brightness at the point after the pair's gain and offset.
+//! A point of frame i is mapped into camera j by `X_ji`. Two residuals compare it with the measurement of frame j at
+//! its projection:
+//! - depth: the distance of the point to the plane through the measured point (point to plane, projective association);
+//! - colour: the brightness in frame j minus the brightness in frame i, after the pair's gain and offset.
 //!
-//! Both depend on the pose through the carried point alone, so that with ∂r/∂p = a the derivative by a turn ω and a
-//! shift v of frame i about the centre c is (q × a, a), q = p − c; by those of frame j it is the negative.
+//! Both depend on the pose only through the mapped point p. Let a = ∂r/∂p and q = p − c. The derivative with respect to
+//! a rotation ω and a shift v of frame i about the centre c is (q × a, a). The derivative for frame j is its negative.
 
 use crate::PosesConfig;
 use crate::linear::{Block, Six};
@@ -14,7 +15,7 @@ use crate::views::{Point, PreparedFrame, sigma_along_normal};
 use glamx::{DMat3, DPose3, DVec3};
 use sms_core::Intrinsics;
 
-/// A residual and its gradient by the carried point.
+/// A residual and its gradient with respect to the mapped point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LinearResidual {
     pub(crate) residual: f64,
@@ -22,7 +23,7 @@ pub(crate) struct LinearResidual {
 }
 
 impl LinearResidual {
-    /// Derivative by (turn, shift) of the carried frame about `center`.
+    /// Derivative with respect to (rotation, shift) of the mapped frame about `center`.
     pub(crate) fn jacobian(&self, p: DVec3, center: DVec3) -> Six {
         let turn = (p - center).cross(self.by_point);
         let a = self.by_point;
@@ -35,7 +36,7 @@ pub(crate) fn depth_residual(p: DVec3, q: DVec3, n: DVec3) -> LinearResidual {
     LinearResidual { residual: n.dot(p - q), by_point: n }
 }
 
-/// Brightness of `view` where `p` lands, at a level, less `expected`; `None` outside.
+/// Brightness of `view` at the projection of `p` minus `expected`, at a level; `None` outside.
 ///
 /// `shift` is the shift of the colour against the depth, pixels at loaded size. Also returns the slope along the image.
 pub(crate) fn color_residual(
@@ -58,7 +59,8 @@ pub(crate) fn color_residual(
     Some((LinearResidual { residual: value - expected, by_point }, [du, dv]))
 }
 
-/// Gain and offset of a pair's brightness, in levels: i's brightness I counts as I + gain · (I − 128) / 64 + offset.
+/// Gain and offset of a pair's brightness, in levels: the brightness I of frame i is converted to I + gain · (I − 128)
+/// / 64 + offset.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Brightness {
     pub(crate) gain: f64,
@@ -83,7 +85,7 @@ impl Brightness {
 const BINS: usize = 160;
 const BIN: f64 = 0.1;
 
-/// Counts of absolute values up to 16. Their medians do not depend on the order in which threads finish.
+/// Counts of absolute values up to 16. Their medians do not depend on the order of threads.
 #[derive(Debug, Clone)]
 pub(crate) struct Histogram {
     counts: Vec<u32>,
@@ -164,7 +166,7 @@ pub(crate) struct Weighing {
     pub(crate) depth_scale: f64,
     /// Colour residuals of this many σ are typical.
     pub(crate) color_scale: f64,
-    /// Carried points farther than this from the surface there count as occluded, metres.
+    /// Mapped points farther than this from the measured surface count as occluded, metres.
     pub(crate) gate_m: f64,
 }
 
@@ -173,14 +175,14 @@ pub(crate) struct Weighing {
 pub(crate) struct PairSums {
     pub(crate) h: Block,
     pub(crate) g: Six,
-    /// Coupling with gain, offset and colour shift, and their own part.
+    /// Coupling with gain, offset and colour shift, and the block of these four.
     by_extra: [Six; EXTRA],
     extra_h: [[f64; EXTRA]; EXTRA],
     extra_g: [f64; EXTRA],
     pub(crate) seen: ResidualStats,
 }
 
-/// Tukey's weight of a residual of `e` σ where `scale` σ are typical.
+/// Tukey's weight of a residual of `e` σ, if `scale` σ are typical.
 fn tukey(e: f64, scale: f64) -> f64 {
     let t = e / (4.685 * scale);
     if t.abs() < 1.0 { (1.0 - t * t).powi(2) } else { 0.0 }
@@ -189,7 +191,8 @@ fn tukey(e: f64, scale: f64) -> f64 {
 /// Unknowns besides the poses: the pair's gain and offset, then the colour shift of all frames (x, y).
 const EXTRA: usize = 4;
 
-/// The colour shift's part of a pair with gain and offset eliminated: its coupling with δ, and its own block.
+/// Contribution of a pair to the colour shift, with gain and offset eliminated: the coupling with δ, and the block of
+/// the shift.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ShiftSums {
     pub(crate) by: [Six; 2],
@@ -233,7 +236,7 @@ impl Sums {
     }
 }
 
-/// The points of frame i and the frame j that they are carried into.
+/// The points of frame i and the frame j that they are mapped into.
 pub(crate) struct CarriedPoints<'a> {
     pub(crate) points: &'a [Point],
     pub(crate) into: &'a PreparedFrame,
@@ -246,7 +249,7 @@ pub(crate) struct CarriedPoints<'a> {
     pub(crate) color_shift: [f64; 2],
 }
 
-/// Carries the points of frame i into frame j and sums up their linearised residuals.
+/// Maps the points of frame i into frame j and sums up their linearised residuals.
 pub(crate) fn linearise(
     carried: &CarriedPoints<'_>,
     center_w: DVec3,
@@ -317,7 +320,7 @@ pub(crate) fn linearise(
     in_world(sums, &DMat3::from_quat(x_wj.rotation), seen)
 }
 
-/// Turns sums from camera axes to world axes.
+/// Rotates sums from camera axes to world axes.
 fn in_world(sums: Sums, r_wj: &DMat3, seen: ResidualStats) -> PairSums {
     let rotated = |s: &Six| -> Six {
         let (a, b) = (*r_wj * DVec3::new(s[0], s[1], s[2]), *r_wj * DVec3::new(s[3], s[4], s[5]));
@@ -359,8 +362,8 @@ impl PairSums {
         [[d / det, -b / det], [-b / det, a / det]]
     }
 
-    /// Returns H, g and the colour shift's part with gain and offset eliminated, so that these stay optimal for every
-    /// correction.
+    /// Returns H, g and the terms of the colour shift with gain and offset eliminated, so that gain and offset stay
+    /// optimal for every correction.
     pub(crate) fn reduced(&self) -> (Block, Six, ShiftSums) {
         let inverse = self.brightness_inverse();
         let (mut h, mut g) = (self.h, self.g);
@@ -438,7 +441,7 @@ mod tests {
         moved_about(DVec3::ZERO, &v)
     }
 
-    /// Derivative of `f` of frame i's and of frame j's pose by the corrections' components, by central differences.
+    /// Derivatives of `f` with respect to the corrections of frame i's and frame j's pose, by central differences.
     fn by_differences(x_wi: DPose3, x_wj: DPose3, f: impl Fn(DPose3, DPose3) -> f64) -> (Six, Six) {
         let e = 1e-6;
         let along = |a: usize, s: f64| {
@@ -487,7 +490,7 @@ mod tests {
             agree(found, of_i, 1.0)?;
             agree(found, of_j, -1.0)?;
 
-            // Bilinear interpolation is smooth within a cell only.
+            // Bilinear interpolation is smooth only within a cell.
             let k = view.intrinsics;
             let inside = |x: f64| (x - 0.5).rem_euclid(1.0) > 1e-3 && (x - 0.5).rem_euclid(1.0) < 1.0 - 1e-3;
             prop_assume!(inside(k.fx * p.x / p.z + k.cx + 0.3) && inside(k.fy * p.y / p.z + k.cy - 0.2));
@@ -549,7 +552,7 @@ mod tests {
         }
         let pair = in_world(sums, &DMat3::IDENTITY, ResidualStats::default());
         let (h, g, shift) = pair.reduced();
-        // Frame 0 against a frame that is held by a very strong prior.
+        // Frame 0 and a frame that a very strong prior holds fixed.
         let mut system = crate::linear::System::new(2);
         system.add_pair(0, 1, &h, &g, &shift);
         let held: Block = std::array::from_fn(|a| std::array::from_fn(|b| if a == b { 1e9 } else { 0.0 }));

@@ -1,4 +1,4 @@
-//! Frames prepared for comparison: points to carry into other frames, and the images to compare them with.
+//! Frames prepared for comparison: points to project into other frames, and images to compare them with.
 
 use crate::PosesConfig;
 use crate::luma::{Luma, half, luma, sample};
@@ -39,7 +39,7 @@ pub(crate) struct Point {
     pub(crate) luma: f64,
     /// Derivative of the brightness along the image, levels per pixel of the level.
     pub(crate) slope: [f64; 2],
-    /// Whether its surroundings have enough gradient to be compared by colour.
+    /// Whether the neighbourhood has enough gradient for comparison by colour.
     pub(crate) textured: bool,
 }
 
@@ -78,8 +78,8 @@ impl PreparedFrame {
         (surface.z > 0.0).then_some((x, y, surface))
     }
 
-    /// Returns the points with a depth on a grid of `stride` pixels of a level that begins at `offset` strides. Their
-    /// colour is read `color_shift` pixels of the loaded size beside the depth.
+    /// Returns the points with a depth on a grid of `stride` pixels of a level, which begins at `offset` strides. Their
+    /// colour is read with an offset of `color_shift` pixels of the loaded size.
     pub(crate) fn points(
         &self,
         level: usize,
@@ -120,13 +120,13 @@ impl PreparedFrame {
     }
 }
 
-/// Returns the standard deviation of a point along its normal, from depth noise along the ray. Surfaces viewed at less
-/// than about 12° count as viewed at 12°: other errors than noise dominate there.
+/// Returns the standard deviation of a point along its normal, from depth noise along the ray. Viewing angles below
+/// about 12° count as 12°, because other errors than noise dominate there.
 pub(crate) fn sigma_along_normal(noise: &DepthNoise, p_c: DVec3, n_c: DVec3) -> f64 {
     noise.sigma_m(p_c.z) * (n_c.dot(p_c) / p_c.z).abs().max(0.2)
 }
 
-/// Prepares all frames, with as many levels as their size allows, at most as configured.
+/// Prepares all frames, with as many levels as their size allows, up to the configured number.
 pub(crate) fn views(sequence: &Sequence, config: &PosesConfig) -> Vec<PreparedFrame> {
     const LEAST_SIDE: usize = 12;
     let long = sequence.frames.iter().map(|f| f.color.width.max(f.color.height)).max().unwrap_or(1);

@@ -28,10 +28,10 @@
 //!
 //! # Conventions
 //! - SI units. Vectors over joints follow [`RobotModel::joints`]; a prismatic joint has metres and newtons.
-//! - Poses are in the world: `x_wr` of the robot's base, `x_wt` of its tool, `x_wv` of a vehicle. Velocities are those of a
-//!   frame's origin, in world axes (Pinocchio's `LOCAL_WORLD_ALIGNED`).
-//! - Kinematics, dynamics and control steps do not allocate: [`Workspace`] holds their buffers, for up to [`MAX_JOINTS`]
-//!   joints.
+//! - Poses are in the world: `x_wr` of the robot's base, `x_wt` of its tool, `x_wv` of a vehicle. Velocities are those
+//!   of a frame's origin, in world axes (Pinocchio's `LOCAL_WORLD_ALIGNED`).
+//! - Kinematics, dynamics and control steps do not allocate: [`Workspace`] holds their buffers, for up to
+//!   [`MAX_JOINTS`] joints.
 //! - RNEA, CRBA, Jacobian and J̇ q̇ agree with Pinocchio to 1e-13 over 1500 states (test `oracle`).
 
 mod arm;

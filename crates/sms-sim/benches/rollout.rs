@@ -1,7 +1,7 @@
 //! Time of a billiards rollout: 4 s in 1600 steps, 8 obstacles of 8 hulls each, two balls and the finger.
 //!
-//! Prints mean milliseconds of one core's time per rollout, the cost of building and of restoring a snapshot, and the cost of
-//! contact timing. `cargo bench -p sms-sim`.
+//! Prints mean milliseconds of one core's time per rollout, the cost of building and of restoring a snapshot, and the
+//! cost of contact timing. `cargo bench -p sms-sim`.
 
 #[path = "../tests/it/common.rs"]
 mod common;
@@ -68,8 +68,8 @@ fn billiards() -> Scene {
 
 const REPEATS: u32 = 15;
 
-/// CPU seconds of this thread where the system reports them (Linux), so that other programs do not count; otherwise the
-/// wall clock.
+/// CPU seconds of this thread if the system reports them (Linux), which excludes other programs; otherwise wall-clock
+/// time.
 fn thread_seconds(started: Instant) -> f64 {
     std::fs::read_to_string("/proc/thread-self/schedstat")
         .ok()
@@ -85,7 +85,7 @@ fn mean_ms(mut work: impl FnMut(u32)) -> f64 {
     1e3 * (thread_seconds(clock) - before) / f64::from(REPEATS)
 }
 
-/// Milliseconds of a rollout, and the splits of the last.
+/// Returns milliseconds per rollout, and the number of splits in the last one.
 fn rollouts(factory: &dyn WorldFactory, options: &WorldOptions) -> (f64, usize) {
     let scene = billiards();
     let mut simulation = Simulation::new(factory, &scene, options).unwrap();
@@ -116,7 +116,7 @@ fn main() {
         });
         let mut simulation = Simulation::new(factory, &scene, &options).unwrap();
         simulation.save();
-        // Too short for the thread's clock one by one.
+        // A single restore is too short for the thread's clock.
         let restore = 1e-2
             * mean_ms(|_| {
                 for _ in 0..100 {

@@ -1,8 +1,8 @@
-//! One evaluation of a landing: five seconds of flight over a structure in Rapier f32, with each model of wash. CPU seconds are
-//! those of all threads of the process.
+//! One evaluation of a landing: five seconds of flight over a structure in Rapier f32, with each wash model. CPU
+//! seconds include all threads of the process.
 //!
-//! `cargo bench -p sms-sim --bench wash -- [spacing in metres …] [emitters=FILE]`; the file passes the propellers' motion to another program
-//! (`benches/peers/genesis_wash.py`).
+//! `cargo bench -p sms-sim --bench wash -- [spacing in metres …] [emitters=FILE]`; the file passes the propellers'
+//! motion to another program (`benches/peers/genesis_wash.py`).
 
 use glamx::{DPose3, DVec3};
 use sms_core::box_mass_properties;
@@ -91,8 +91,8 @@ fn evaluate(wash: Box<dyn Wash>, scene: &Scene, label: &str) -> Result<Blown, Bo
     Ok(blown)
 }
 
-/// `# key value …` of the air and of each box (centre, half extents, mass; mass 0 is fixed), then a line for each step: nothing, or the
-/// propellers' centres.
+/// Writes `# key value …` of the air and of each box (centre, half extents, mass; mass 0 is fixed), then a line for
+/// each step: either empty, or the centres of the propellers.
 fn write_emitters(path: &str, scene: &Scene, sph: &SphSettings, blown: &Blown) -> Result<(), Box<dyn Error>> {
     let vehicle = Quadrotor::default();
     let thrust = vehicle.mass * 9.81 / vehicle.rotors.len() as f64;

@@ -1,15 +1,16 @@
-//! The arm in a world: the engine simulates the tool alone, as a body with the arm's effective mass.
+//! The arm in a world: the engine simulates only the tool, as a body with the arm's effective mass.
 //!
-//! In each step the arm advances under its torques. The tool's body starts at the arm's pose, with the velocity that leads
-//! to the arm's next pose. The engine's change of that velocity, times the body's mass, is the received impulse, which the
-//! joints take as q̇ += M⁻¹ Jᵀ p. Contact timing knows the touched point just before a touch; with the effective mass
-//! 1/(nᵀ J M⁻¹ Jᵀ n) of that point along the normal n, tool and body have the same speed along n afterwards: the struck body
-//! feels the whole arm, and momentum and energy are conserved. Across n, and for unforeseen touches (a box, a creeping
-//! ball), the mass along the sweep is used; momentum is conserved all the same.
+//! In each step, the arm first advances under its torques. The tool's body starts at the arm's pose, with the velocity
+//! that leads to the arm's next pose. The change of this velocity by the engine, times the mass of the body, is the
+//! received impulse p. The joints receive it as q̇ += M⁻¹ Jᵀ p. Contact timing knows the touched point just before a
+//! touch. With the effective mass 1/(nᵀ J M⁻¹ Jᵀ n) of this point along the normal n, tool and body have the same speed
+//! along n afterwards. So the struck body is hit by the whole arm, and momentum and energy are conserved. Across n, and
+//! for unforeseen touches (a box, a slow ball), the effective mass along the sweep is used; momentum is still
+//! conserved.
 //!
-//! The alternative, an engine's own joints, would have to be set up for every engine behind [`World`], and rotors, friction
-//! and inertia would depend on its solver. This needs one kind of body, and the arm in every engine is the one that is
-//! tested against Pinocchio.
+//! The alternative, joints simulated by the engine, would have to be set up for every engine behind [`World`], and
+//! rotors, friction and inertia would depend on its solver. The approach here needs only one kind of body, and every
+//! engine uses the arm that is tested against Pinocchio.
 
 use crate::{BodyId, BodyState, KinematicShape, World};
 use glamx::{DPose3, DQuat, DVec3};
@@ -87,7 +88,7 @@ impl ArmInWorld {
         let to = self.state.x_wb;
         let v_w = (to.translation - from.translation) / dt;
         world.set_tool(body, &BodyState { x_wb: from, v_w, w_w: turn(&from, &to) / dt }, self.mass);
-        // The engine's rounded value.
+        // The value rounded by the engine.
         self.speed_before_w = world.state(body).v_w;
     }
 

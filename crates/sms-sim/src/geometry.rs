@@ -52,7 +52,7 @@ impl CollisionPart {
         if inside { p.distance(nearest) } else { -p.distance(nearest) }
     }
 
-    /// Whether the plane through a nearest point bounds the whole shape.
+    /// Returns whether the plane through a nearest point bounds the whole shape.
     pub(crate) fn is_convex(&self) -> bool {
         !matches!(self, Self::Mesh(_))
     }

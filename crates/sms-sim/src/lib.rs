@@ -1,5 +1,5 @@
-//! Rigid-body worlds: the [`World`] trait, its Rapier implementation in both precisions, and [`Simulation`], which adds the
-//! parts that all engines share: contact timing, rolling resistance and strikers (the arm, or a kinematic finger).
+//! Rigid-body worlds: the [`World`] trait, its Rapier implementation in both precisions, and [`Simulation`], which adds
+//! the parts that all engines share: contact timing, rolling resistance and strikers (the arm, or a kinematic finger).
 //!
 //! ```
 //! use glamx::{DPose3, DVec3};

@@ -6,20 +6,21 @@ use crate::{BodyId, BodyState};
 use glamx::{DPose3, DVec3};
 
 impl Simulation {
-    /// Largest penetration of a body into others except the robot, metres; 0 without penetration, and for bodies that do not
-    /// move. It is exact for a ball, except against meshes, which have no inside: there it is the radius minus the distance of
-    /// the centre. For other bodies it is a lower bound, from the corners of both bodies, and against meshes from a ball inside
-    /// each convex part.
+    /// Largest penetration of a body into others except the robot, metres. It is 0 without penetration and for bodies
+    /// that do not move. The depth of a ball is exact, except against meshes: they have no inside, so the depth is the
+    /// radius minus the distance of the centre. For other bodies the depth is a lower bound, from the corners of both
+    /// bodies, and against meshes from a ball inside each convex part.
     pub fn penetration(&self, body: BodyId) -> f64 {
         self.deepest_at(body, &self.states).map_or(0.0, |deepest| deepest.1)
     }
 
-    /// The body that a body penetrates most, and the depth, metres; `None` without penetration. As [`Self::penetration`].
+    /// The body with the deepest penetration by `body`, and the depth, metres; `None` without penetration. As
+    /// [`Self::penetration`].
     pub fn deepest(&self, body: BodyId) -> Option<(BodyId, f64)> {
         self.deepest_at(body, &self.states)
     }
 
-    /// The penetration with the bodies in other states, such as earlier ones. Bodies without a state are left out.
+    /// The penetration with the bodies in other states, for example earlier ones. Bodies without a state are left out.
     pub fn penetration_at(&self, body: BodyId, states: &[BodyState]) -> f64 {
         self.deepest_at(body, states).map_or(0.0, |deepest| deepest.1)
     }

@@ -15,8 +15,8 @@ pub struct RestingDrift {
     pub turned_rad: f64,
 }
 
-/// Simulates a scene for `seconds` and returns the drift of each dynamic body, in the scene's order. Bodies do not sleep, so
-/// that slow creep counts.
+/// Simulates a scene for `seconds` and returns the drift of each dynamic body, in the scene's order. Bodies do not
+/// sleep, so that slow creep counts.
 ///
 /// # Errors
 /// [`SimError`] when the world cannot be built or diverges.
@@ -79,8 +79,8 @@ impl RestLimits {
 }
 
 /// Makes bodies static until the others rest. A recording shows bodies at rest, so a moving one was reconstructed
-/// incompletely. Bodies are fixed one at a time, the first to move first, because it may push later ones. Returns the
-/// drifts of the fixed bodies in that order.
+/// incompletely. Bodies are fixed one at a time. The first body to move comes first, because it may push others.
+/// Returns the drifts of the fixed bodies in this order.
 ///
 /// # Errors
 /// [`SimError`] when a world cannot be built or diverges.

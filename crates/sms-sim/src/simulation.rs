@@ -17,8 +17,8 @@ use std::time::Instant;
 
 mod impacts;
 
-/// Shortest step that contains an impact, seconds: at 0.8 m/s a ball travels 40 µm in it. A slow ball gets the time to close
-/// the remaining gap within part of the step; otherwise an engine that only predicts contacts brakes it.
+/// Shortest step that contains an impact, seconds: a ball of 0.8 m/s travels 40 µm in it. A slow ball can close the
+/// remaining gap within part of the step; otherwise engines that only predict contacts would brake it.
 const IMPACT_STEP_S: f64 = 5e-5;
 const IMPACT_STEP_GAPS: f64 = 4.0;
 /// Shortest step, seconds.
@@ -32,11 +32,11 @@ const MAX_DISTANCE: f64 = 1e6;
 ///
 /// Body ids are those of the world: the scene's bodies in order, then strikers.
 ///
-/// - **Contact timing**: steps are split where a ball is about to hit another body (computed on our own shapes, the
+/// - **Contact timing**: steps are split where a ball is about to hit another body (computed on shapes that are the
 ///   same for every engine), unless [`WorldOptions::contact_timing`] is off.
 /// - **Rolling resistance** of balls: a torque of (mean rolling lever of both surfaces) × (weight on the surface)
-///   against the rolling, and as much against spinning about the contact normal. A ball on a level surface
-///   decelerates by 5/7·g·lever/radius.
+///   against rolling, and an equal one against spinning about the contact normal. A ball on a level surface decelerates
+///   by 5/7·g·lever/radius.
 /// - **Striker**: [`Simulation::strike`].
 pub struct Simulation {
     pub(crate) world: Box<dyn World>,
@@ -49,13 +49,13 @@ pub struct Simulation {
     wrenches: Vec<(BodyId, DVec3, DVec3)>,
     /// Time of the world, seconds.
     world_s: f64,
-    /// Requested time, seconds. The next advance makes up the difference of at most an impact step, so that an impact
-    /// that begins just before the end of a step is not cut in two.
+    /// Requested time, seconds. The world may lag behind by at most an impact step, so that an impact that begins just
+    /// before the end of a step is not cut in two. The next advance makes up the difference.
     time_s: f64,
     splits: usize,
     /// First touches of pairs of bodies since the start, in order of time.
     contacts: Vec<ContactEvent>,
-    /// Pairs that touched before the state was saved, or in the first step: they are not events.
+    /// Pairs that touched before the state was saved, or in the first step. They are not events.
     resting: BTreeSet<(BodyId, BodyId)>,
     /// Buffer for the engine's touch reports.
     touches: Vec<(BodyId, BodyId)>,
@@ -159,7 +159,7 @@ impl Simulation {
         })
     }
 
-    /// Name of a body; that of the striker is "striker".
+    /// Returns the name of a body; the striker is called "striker".
     pub fn name(&self, body: BodyId) -> &str {
         self.names.get(body).map_or("striker", String::as_str)
     }
@@ -184,9 +184,10 @@ impl Simulation {
         self.splits
     }
 
-    /// First contacts of pairs of bodies since the start or the saved state; pairs that touch from the start are not listed.
-    /// They comprise impacts of a ball with any body for which a step was split ([`WorldOptions::contact_timing`]), and, from
-    /// engines that report touches ([`World::take_touches`]), all other touches of two bodies that are not static.
+    /// Returns the first contacts of pairs of bodies since the start or the saved state. Pairs that touch from the
+    /// start are not listed. The list contains impacts of balls for which a step was split
+    /// ([`WorldOptions::contact_timing`]). If the engine reports touches ([`World::take_touches`]), it also contains
+    /// all other touches, except of two static bodies.
     pub fn contacts(&self) -> &[ContactEvent] {
         &self.contacts
     }
@@ -235,9 +236,9 @@ impl Simulation {
         self.wrenches.push((body, force_w, torque_w));
     }
 
-    /// Starts a sweep now, with the friction and restitution of the striking surface. After the sweep the striker collides with
-    /// nothing. A finger pushes bodies without being pushed; an arm yields according to its inertia and controller, and static
-    /// bodies stop it.
+    /// Starts a sweep now, with the friction and restitution of the striking surface. After the sweep the striker has
+    /// no collisions. A finger pushes bodies without being pushed. An arm yields according to its inertia and
+    /// controller, and static bodies stop it.
     pub fn strike(&mut self, striker: impl Into<Striker>, friction: f64, restitution: f64) -> BodyId {
         let (body, by, shape, state) = match striker.into() {
             Striker::Finger(motion) => {
@@ -286,8 +287,8 @@ impl Simulation {
         self.arm_of(body).map(ArmInWorld::impulse_w)
     }
 
-    /// Energy that an arm has given to other bodies, J: each impulse times the mean of the tool's velocities before and after it.
-    /// `None` for a finger.
+    /// Energy that an arm has given to other bodies, J: each impulse times the mean of the tool's velocities before and
+    /// after it. `None` for a finger.
     pub fn work_j(&self, body: BodyId) -> Option<f64> {
         self.arm_of(body).map(ArmInWorld::work_j)
     }
@@ -387,7 +388,7 @@ impl Simulation {
                 self.world_s = self.time_s;
                 return Ok(());
             };
-            // Recorded before the step: engines that predict contacts may reflect a ball earlier.
+            // Recorded before the step, because engines that predict contacts may reflect a ball earlier.
             self.note_contact(ball, other, impact.time_s);
             if let Some(ActiveStrike { by: By::Arm(arm), .. }) =
                 self.strikes.iter_mut().find(|s| s.body == other)
@@ -430,7 +431,8 @@ impl Simulation {
         }
     }
 
-    /// Records the touches that the engine reports for the last step of `dt`; states are still those before it.
+    /// Records the touches that the engine reports for the last step of `dt`. The states are still those before the
+    /// step.
     fn note_touches(&mut self, dt: f64) {
         let mut touches = std::mem::take(&mut self.touches);
         self.world.take_touches(&mut touches);
@@ -439,7 +441,7 @@ impl Simulation {
             if is_static(a) || is_static(b) || self.resting.contains(&ordered(a, b)) {
                 continue;
             }
-            // Pairs at rest on each other are reported in the first step.
+            // Pairs in resting contact are reported in the first step.
             if self.world_s == 0.0 {
                 self.resting.insert(ordered(a, b));
                 continue;
@@ -451,7 +453,7 @@ impl Simulation {
         self.touches = touches;
     }
 
-    /// One step of the engine.
+    /// Takes one step of the engine.
     fn step(&mut self, dt: f64, supports: &[BallSupport]) -> Result<(), SimError> {
         for (body, force_w, torque_w) in &self.wrenches {
             self.world.apply_wrench(*body, *force_w, *torque_w, true);

@@ -1,5 +1,5 @@
-//! Strikers: the torque-controlled arm, or a kinematic finger of infinite mass. Both execute the paper's strike: two linear
-//! segments of 0.1 m (appendix "Manipulator Control and Action Modeling").
+//! Strikers: the torque-controlled arm, or a kinematic finger of infinite mass. Both execute the paper's strike: two
+//! linear segments of 0.1 m (appendix "Manipulator Control and Action Modeling").
 
 use crate::KinematicShape;
 use glamx::{DPose3, DQuat, DVec3};
@@ -13,7 +13,7 @@ pub(crate) const RETRACTION_M: f64 = 0.3;
 /// Executor of a strike.
 #[derive(Debug, Clone)]
 pub enum Striker {
-    /// A kinematic finger that follows its motion whatever it hits, for an unknown robot.
+    /// A kinematic finger, for an unknown robot. Contacts do not change its motion.
     Finger(StrikerMotion),
     /// An arm under torque control.
     Arm(Arc<ArmStrike>),
@@ -44,12 +44,12 @@ pub const FINGER_HALF: DVec3 = FIST_HALF;
 
 /// A sweep of the closed fingers, in world coordinates.
 ///
-/// The finger is a box with its front face perpendicular to the sweep. It starts at rest 0.1 m before the place where the
-/// front face touches a ball of `ball_radius` at `contact_w`, reaches `speed` there with the profile of [`Sweep`],
-/// decelerates to rest over another 0.1 m, and is then lifted out of the scene. `speed` is therefore the finger's speed at
-/// the first touch if the ball is at its estimated position.
+/// The finger is a box with its front face perpendicular to the sweep. It starts at rest, 0.1 m before the front face
+/// touches a ball of `ball_radius` at `contact_w`. It reaches `speed` at the contact with the profile of [`Sweep`],
+/// decelerates to rest over another 0.1 m, and is then lifted out of the scene. So `speed` is the finger's speed at the
+/// first touch if the ball is at its estimated position.
 ///
-/// The front face is flat, so the place of contact on it (up to 15 mm to either side) makes no difference.
+/// The front face is flat, so the position of the contact on the face (up to 15 mm to either side) makes no difference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct StrikerMotion {
     /// Contact position: the estimated centre of the ball, metres.
@@ -94,8 +94,8 @@ impl StrikerMotion {
         5.0 / 3.0 * self.speed / self.contact_s()
     }
 
-    /// Pose `X_WK` of the finger's box at `t` seconds from the start: its centre, x along the sweep, z up. Before the start it
-    /// waits; after the end it is lifted.
+    /// Pose `X_WK` of the finger's box at `t` seconds from the start: its centre, x along the sweep, z up. The finger
+    /// waits before the start and is lifted after the end.
     pub fn pose_at(&self, t: f64) -> DPose3 {
         let sweep = self.sweep(FINGER_HALF.x);
         let along = sweep.travel_at(t).0 - SEGMENT_M;

@@ -4,13 +4,13 @@ use crate::BodyId;
 use crate::simulation::{Kind, Simulation};
 use glamx::DVec3;
 
-/// Gap up to which a body below carries a ball, metres: engines let bodies sink in or float by some µm.
+/// Largest gap to a body below that carries a ball, metres: in engines, bodies sink in or float by some µm.
 const SUPPORT_GAP: f64 = 5e-5;
 
 /// Contacts of a ball.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct BallSupport {
-    /// Whether it touches any body.
+    /// Whether the ball touches any body.
     pub(crate) touching: bool,
     /// Upward normal, rolling lever (m) and angular velocity of the supporting body.
     pub(crate) carried: Option<(DVec3, f64, DVec3)>,

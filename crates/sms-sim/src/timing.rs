@@ -1,14 +1,14 @@
-//! Time of impact of balls. At the paper's step of 2.5 ms a ball of 0.8 m/s travels 2 mm, and a contact normal taken at
-//! the boundary of a step deflects its path by degrees. Therefore steps are split at impacts.
+//! Time of impact of balls. At the paper's step of 2.5 ms, a ball of 0.8 m/s travels 2 mm, and a contact normal
+//! computed at the boundary of a step deflects its path by degrees. Therefore steps are split at impacts.
 
 use crate::geometry::{CollisionPart, Path};
 use glamx::DVec3;
 
-/// Gap that counts as a touch, metres: too small to deflect a path, above the resolution of single precision a metre from
-/// the origin (1.2e-7 m).
+/// Gap that counts as a touch, metres: too small to deflect a path, above the resolution of single precision a metre
+/// from the origin (1.2e-7 m).
 pub(crate) const TOUCH_GAP: f64 = 2e-6;
 
-/// Closing speed below which an impact is left to the engine, m/s: it travels 50 µm in a step of 2.5 ms.
+/// Closing speed below which an impact is left to the engine, m/s: the ball travels 50 µm in a step of 2.5 ms.
 pub(crate) const MIN_CLOSING_SPEED: f64 = 0.02;
 
 /// Iterations after which a grazing approach is left to the engine.
@@ -28,11 +28,11 @@ pub(crate) struct Impact {
 }
 
 /// Returns the time at which a ball of `radius` comes within [`TOUCH_GAP`] of a part of another body, if it is before
-/// `horizon` seconds. Zero if it is closer already and closing in.
+/// `horizon` seconds. The time is zero if the ball is already closer and approaching.
 ///
-/// Conservative advancement (Mirtich 1996): a convex part lies behind the plane through its nearest point, so the time until
-/// the ball reaches that plane is never later than the impact. For a mesh the plane is not a bound, and the whole relative
-/// speed counts as closing speed.
+/// Conservative advancement (Mirtich 1996): a convex part lies behind the plane through its nearest point, so the time
+/// until the ball reaches that plane is never later than the impact. For a mesh, the plane is not a bound, so the whole
+/// relative speed counts as closing speed.
 pub(crate) fn time_of_impact(
     ball: &Path,
     radius: f64,
@@ -79,7 +79,7 @@ pub(crate) fn time_of_impact(
 /// Time in which `distance` > 0 is covered at the speed `v` (of either sign) and the acceleration `a` ≥ 0.
 fn time_to_cover(distance: f64, v: f64, a: f64) -> f64 {
     let root = (v * v + 2.0 * a * distance).sqrt();
-    // The form of the quadratic's root without cancellation.
+    // Root of the quadratic in a form without cancellation.
     if v >= 0.0 { 2.0 * distance / (v + root) } else { (root - v) / a }
 }
 
@@ -111,12 +111,13 @@ mod tests {
             let b = moving(DVec3::ZERO, DVec3::ZERO);
             let t = time_of_impact(&free(&a), r, &CollisionPart::Sphere(r), &free(&b), horizon);
             let t = t.expect("they meet within the horizon").time_s;
-            // The impact is found up to the gap, which a grazing ball takes longer to close.
+            // The impact is found up to the gap, which a grazing ball closes more slowly.
             let slack = TOUCH_GAP / (speed * ahead / (2.0 * r)) + 1e-9;
             prop_assert!(t <= gap / speed + 1e-9 && t > gap / speed - slack, "{t} {}", gap / speed);
         }
 
-        /// A ball along a wall never hits it; one that falls on a plane hits at the time given by the parabola.
+        /// A ball moving along a wall never hits it. A ball falling on a plane hits it at the time given by the
+        /// parabola.
         #[test]
         fn a_falling_ball_lands_when_the_parabola_says(height in 1e-4..1e-3f64, drop in 0.0..0.5f64) {
             let g = DVec3::new(0.0, 0.0, -9.81);

@@ -26,9 +26,9 @@ impl Default for LoadTest {
     }
 }
 
-/// The smallest downward force at a point of a body (world, metres) that makes the point sink by [`LoadTest::sinks_m`],
-/// newtons, found by bisection. 0 if the point sinks without a load; `None` if the largest load does not tip the structure or
-/// the body cannot move.
+/// Finds the smallest downward force (newtons) at a point of a body (world, metres) that makes the point sink by
+/// [`LoadTest::sinks_m`], by bisection. Returns 0 if the point sinks without a load, and `None` if the largest load
+/// does not tip the structure or the body cannot move.
 ///
 /// # Errors
 /// [`SimError`] when the world cannot be built.
@@ -44,7 +44,7 @@ pub fn tipping_load_n(
     if tips(0.0)? {
         return Ok(Some(0.0));
     }
-    // Starts from a small load, so that the width of the intervals suits the result.
+    // Starts from a small load, so that the accuracy is relative to the result.
     let (mut stands, mut falls) = (0.0, test.most_n / 64.0);
     while !tips(falls)? {
         if falls >= test.most_n {
@@ -71,16 +71,16 @@ pub struct LoadRamp {
 }
 
 impl Default for LoadRamp {
-    /// Up to the weight of two small quadrotors in six seconds.
+    /// Reaches the weight of two small quadrotors in six seconds.
     fn default() -> Self {
         Self { rate_n_per_s: 4.0, most_n: 24.0, sinks_m: 0.01 }
     }
 }
 
-/// The downward force at a point of a body (world, metres) at which the point has sunk by [`LoadRamp::sinks_m`] while the force
-/// increases from zero, newtons; `None` if the largest force does not suffice or the body cannot move. It exceeds
-/// [`tipping_load_n`] by the increase while the body sinks, a newton or two, but takes a single simulation, which suffices
-/// for a ranking.
+/// Increases a downward force at a point of a body (world, metres) from zero until the point has sunk by
+/// [`LoadRamp::sinks_m`]. Returns this force in newtons, or `None` if the largest force does not suffice or the body
+/// cannot move. The force exceeds [`tipping_load_n`] by a newton or two, because it increases while the body sinks. It
+/// takes a single simulation and is accurate enough for a ranking.
 ///
 /// # Errors
 /// [`SimError`] when the world cannot be built.
@@ -127,7 +127,7 @@ struct Load<'a> {
 }
 
 impl Load<'_> {
-    /// The force at which the point has sunk by `sinks_m`; `None` if it does not.
+    /// Returns the force at which the point has sunk by `sinks_m`; `None` if it does not sink by as much.
     fn sinking_n(
         &self,
         factory: &dyn WorldFactory,

@@ -8,8 +8,8 @@ use sms_wash::{BodyMotion, BodySurface, VehicleState, Wash, WashError, Wrench};
 /// Smaller forces are dropped, N, so that resting bodies fall asleep when the air is still.
 const LEAST_FORCE: f64 = 1e-4;
 
-/// The surfaces of a scene's bodies in order, as input of a wash model. Static meshes do not affect the air because they are
-/// not convex solids; floors do.
+/// The surfaces of a scene's bodies in order, as input of a wash model. Static meshes do not affect the air because
+/// they are not convex solids; floors do.
 ///
 /// # Errors
 /// [`SimError::Body`] when a hull has no volume.
@@ -28,8 +28,8 @@ pub fn wash_surfaces(scene: &Scene) -> Result<Vec<BodySurface>, SimError> {
 
 /// A wash model coupled to the bodies of a simulation.
 ///
-/// In each nominal step the air moves first, past the bodies in their current states. Its mean wrenches act on them during the
-/// step, so that the bodies receive the momentum that the air loses in the same step.
+/// In each nominal step the air moves first, with the bodies in their current states. The mean wrenches of the air then
+/// act on the bodies during the step, so that the bodies receive the momentum that the air loses in the same step.
 pub struct WashInWorld {
     wash: Box<dyn Wash>,
     /// Motions of the scene's bodies, which come first in a world.
@@ -38,7 +38,7 @@ pub struct WashInWorld {
 }
 
 impl WashInWorld {
-    /// Couples a model for the first `bodies` bodies of a simulation (those of its scene: [`wash_surfaces`]).
+    /// Couples a model to the first `bodies` bodies of a simulation (those of its scene: [`wash_surfaces`]).
     pub fn new(wash: Box<dyn Wash>, bodies: usize) -> Self {
         Self { wash, motions: Vec::with_capacity(bodies), wrenches: vec![Wrench::default(); bodies] }
     }
@@ -53,8 +53,8 @@ impl WashInWorld {
         &self.wrenches
     }
 
-    /// Advances the air and the simulation by one step of `dt` seconds with the vehicle in its current state; `dt` is at most the
-    /// nominal step ([`crate::WorldOptions::dt`]).
+    /// Advances the air and the simulation by one step of `dt` seconds with the vehicle in its current state; `dt` is
+    /// at most the nominal step ([`crate::WorldOptions::dt`]).
     ///
     /// # Errors
     /// [`SimError::Diverged`] when a state stops being finite.

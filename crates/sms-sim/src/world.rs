@@ -37,14 +37,14 @@ pub enum KinematicShape {
     },
 }
 
-/// Who simulates the arm's joints.
+/// Selects who simulates the joints of the arm.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ArmKind {
-    /// The shared arm, the same in every engine; the engine simulates the tool alone.
+    /// The shared arm, identical in every engine; the engine simulates only the tool.
     #[default]
     Shared,
-    /// The engine: an articulation under the same controller, if the engine supports it ([`World::add_arm`]).
+    /// The engine, by an articulation with the same controller, if the engine supports this ([`World::add_arm`]).
     Articulation,
 }
 
@@ -58,7 +58,7 @@ pub struct WorldOptions {
     pub sleep: bool,
     /// Whether steps are split at the time of impact of fast balls.
     pub contact_timing: bool,
-    /// Who simulates the arm's joints.
+    /// Selects who simulates the joints of the arm.
     pub arm: ArmKind,
 }
 
@@ -143,7 +143,7 @@ pub enum PhysicsViolation {
 }
 
 impl SimError {
-    /// Why the run failed, without numbers, for counting; `None` for other errors.
+    /// Returns the reason of the failure without numbers, for counting; `None` for other errors.
     pub fn failure_reason(&self) -> Option<String> {
         match self {
             Self::Diverged { body, .. } => Some(format!("`{body}` diverged (non-finite state)")),
@@ -161,7 +161,7 @@ impl SimError {
         }
     }
 
-    /// Whether the run is invalid or was refused, as opposed to the scene: another motion may succeed.
+    /// Returns whether the rollout is invalid or was refused. The scene itself is valid, so another motion may succeed.
     pub fn is_invalid_rollout(&self) -> bool {
         matches!(self, Self::Diverged { .. } | Self::Unphysical { .. } | Self::Refused(_))
     }
@@ -178,7 +178,7 @@ impl From<StrikeError> for SimError {
 pub struct ContactEvent {
     /// Time, seconds.
     pub time_s: f64,
-    /// The faster of the two; the ball of a ball and a static body.
+    /// The faster body; in a contact of a ball and a static body, the ball.
     pub body: BodyId,
     /// The other body.
     pub other: BodyId,
@@ -196,8 +196,8 @@ pub trait World: Send {
     fn state(&self, body: BodyId) -> BodyState;
     /// Sets the state of a body and wakes it.
     fn set_state(&mut self, body: BodyId, state: &BodyState);
-    /// Adds a force (N) and a torque about the centre of mass (N·m), in the world, for the next step. `wake` wakes a sleeping
-    /// body.
+    /// Adds a force (N) and a torque about the centre of mass (N·m), in the world, for the next step. `wake` wakes a
+    /// sleeping body.
     fn apply_wrench(&mut self, body: BodyId, force_w: DVec3, torque_w: DVec3, wake: bool);
     /// Whether the body is asleep.
     fn is_asleep(&self, body: BodyId) -> bool;
@@ -211,23 +211,24 @@ pub trait World: Send {
     ) -> BodyId;
     /// Pose that a kinematic body reaches at the end of the next step.
     fn set_kinematic_target(&mut self, body: BodyId, x_wk: DPose3);
-    /// Adds a tool: a dynamic body without weight whose pose, velocity and mass are set before each step ([`World::set_tool`])
-    /// and which contacts do not turn. Its change of velocity in a step, times the mass, is the impulse that it has received.
+    /// Adds a tool: a dynamic body without weight. Its pose, velocity and mass are set before each step
+    /// ([`World::set_tool`]), and contacts do not rotate it. Its change of velocity in a step, times the mass, is the
+    /// received impulse.
     fn add_tool(&mut self, shape: KinematicShape, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId;
     /// State of a tool at the beginning of the next step, and its mass in it, kg.
     fn set_tool(&mut self, body: BodyId, state: &BodyState, mass: f64);
-    /// Adds an arm of the engine's own joints, at rest at the start of its strike, and returns the body of its tool, whose state
-    /// is that of the tool's frame. Only the striking part of the tool has a shape. `None` if the engine does not support
-    /// arms, or not this robot. A world with an arm cannot be saved.
+    /// Adds an arm with joints simulated by the engine, at rest at the start of its strike. Returns the body of the
+    /// tool, with the state of the tool's frame. Only the striking part of the tool has a shape. Returns `None` if the
+    /// engine does not support arms or this robot. A world with an arm cannot be saved.
     fn add_arm(&mut self, strike: &ArmStrike, friction: f64, restitution: f64) -> Option<BodyId> {
         let _ = (strike, friction, restitution);
         None
     }
-    /// Positions and speeds of the joints of such an arm.
+    /// Reads the positions and speeds of the joints of an arm of [`World::add_arm`].
     fn arm_joints(&self, body: BodyId, q: &mut [f64], qd: &mut [f64]) {
         let _ = (body, q, qd);
     }
-    /// Torques of the motors from now on. The engine subtracts friction and damping of the joints.
+    /// Sets the torques of the motors from now on. The engine subtracts friction and damping of the joints.
     fn set_arm_torques(&mut self, body: BodyId, tau: &[f64]) {
         let _ = (body, tau);
     }
@@ -237,13 +238,14 @@ pub trait World: Send {
     fn save(&mut self) -> bool;
     /// Restores the saved state and removes kinematic bodies added since; `false` if none was saved.
     fn restore(&mut self) -> bool;
-    /// A body that the engine removed in the last step because its state was not finite, for engines that remove such bodies.
+    /// Returns a body that the engine removed in the last step because its state was not finite, for engines that
+    /// remove such bodies.
     fn first_failed(&self) -> Option<BodyId> {
         None
     }
-    /// Appends the pairs of bodies that began to touch since the last call to `pairs`, in a fixed order. A pair may recur when it
-    /// parts and touches again, and once per pair of their parts. Engines that do not report touches append nothing; then only
-    /// impacts of balls are known.
+    /// Appends the pairs of bodies that began to touch since the last call to `pairs`, in a fixed order. A pair occurs
+    /// again when it separates and touches again, and once for each pair of parts. Engines that do not report touches
+    /// append nothing; then only impacts of balls are known.
     fn take_touches(&mut self, pairs: &mut Vec<(BodyId, BodyId)>) {
         let _ = pairs;
     }
@@ -259,7 +261,8 @@ pub trait WorldFactory: Sync {
     /// [`SimError::Body`] when a body's shape or mass cannot be simulated.
     fn build(&self, scene: &Scene, options: &WorldOptions) -> Result<Box<dyn World>, SimError>;
 
-    /// Whether [`WorldOptions::contact_timing`] has an effect: `false` for an engine that is to be studied with whole steps.
+    /// Returns whether [`WorldOptions::contact_timing`] has an effect: `false` for an engine that is to be studied with
+    /// whole steps.
     fn splits_steps(&self) -> bool {
         true
     }

@@ -25,8 +25,8 @@ pub struct RobotArm {
 }
 
 impl RobotArm {
-    /// Creates the robot of the settings obstacles_hash the bodies of a scene. The struck body is not an obstacle. `None` if
-    /// the settings give no pose of the robot.
+    /// Creates the robot of the settings obstacles_hash the bodies of a scene. The struck body is not an obstacle.
+    /// `None` if the settings give no pose of the robot.
     ///
     /// # Errors
     /// [`InputError`] of the robot's URDF.

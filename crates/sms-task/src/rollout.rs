@@ -37,8 +37,8 @@ const DEEPEST_BODY_M: f64 = 0.01;
 const FASTEST: f64 = 4.0;
 
 /// Tolerance for energy beyond the robot's work, and for gains after the strike: a share of the energy, and joules.
-/// Engines push apart bodies that have sunk into each other. Valid shots have at most 0.92 of the robot's work and
-/// gain at most 0.05 mJ (152 shots in four engines, experiments/studies/plan.md). 20 mJ lift 5 kg by 0.4 mm, out of their
+/// Engines push apart bodies that have sunk into each other. Valid shots have at most 0.92 of the robot's work and gain
+/// at most 0.05 mJ (152 shots in four engines, experiments/studies/plan.md). 20 mJ lift 5 kg by 0.4 mm, out of their
 /// support.
 const ENERGY_GAIN: (f64, f64) = (0.05, 0.02);
 

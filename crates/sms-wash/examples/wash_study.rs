@@ -1,8 +1,9 @@
-//! Force of a hovering quadrotor on a plate by all models, width of the free jet, and cost, for settings of the particle model:
-//! the figures of experiments/studies/wash.md.
+//! Computes the force of a hovering quadrotor on a plate with all models, the width of the free jet, and the cost, for
+//! given settings of the particle model: the figures of experiments/studies/wash.md.
 //!
-//! `cargo run --release -p sms-wash --example wash_study -- key=value …` takes settings of `SphSettings` as in TOML, and `half`
-//! (half edge of the plate, metres), `height` (of the propellers above it), `offset` (of the vehicle along x), `propellers`, `seconds`.
+//! `cargo run --release -p sms-wash --example wash_study -- key=value …` takes settings of `SphSettings` as in TOML,
+//! and `half` (half edge of the plate, metres), `height` (of the propellers above it), `offset` (of the vehicle along
+//! x), `propellers`, `seconds`.
 
 use glamx::{DPose3, DQuat, DVec3};
 use sms_robots::Rotor;
@@ -37,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut wash = SphWash::new(plate.clone(), settings)?;
     let rotors = [(0.1, 0.1), (0.1, -0.1), (-0.1, 0.1), (-0.1, -0.1)]
         .map(|(x, y)| Rotor { p_v: DVec3::new(x, y, 0.0), radius: 0.0685 });
-    // Fewer propellers carry less, not more each.
+    // With fewer propellers, the total thrust is smaller; the thrust of each stays the same.
     let thrusts: [f64; 4] = std::array::from_fn(|i| if i < propellers { 0.25 * WEIGHT } else { 0.0 });
     let carried: f64 = thrusts.iter().sum();
     let vehicle = VehicleState {

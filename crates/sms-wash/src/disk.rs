@@ -1,4 +1,5 @@
-//! The actuator disk of momentum theory (the paper's appendix "Quadrotor Propeller Model"), and the stream of its emitter.
+//! The actuator disk of momentum theory (the paper's appendix "Quadrotor Propeller Model"), and the stream of its
+//! emitter.
 
 use crate::WashError;
 use serde::{Deserialize, Serialize};
@@ -7,14 +8,15 @@ use std::f64::consts::PI;
 /// Density of air at sea level and 15 °C, kg/m³ (the paper's value).
 pub(crate) const AIR_DENSITY: f64 = 1.225;
 
-/// Interpretation of the calibration in the paper's appendix. The mass flow is that through the disk in both.
+/// Interpretation of the calibration in the paper's appendix. Both have the mass flow through the disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Emission {
-    /// As in the appendix: emitted over the disk at the disk's speed. This stream carries half of the thrust; the other half is
-    /// the pressure behind the disk, which particles lack.
+    /// As in the appendix: emitted over the disk at the disk's speed. This stream carries half of the thrust; the other
+    /// half is the pressure behind the disk, which particles lack.
     Paper,
-    /// The far wake of the same disk, contracted to half the area, at the exit speed: the stream carries the whole thrust.
+    /// The far wake of the same disk, contracted to half the area, at the exit speed: the stream carries the whole
+    /// thrust.
     #[default]
     Momentum,
 }

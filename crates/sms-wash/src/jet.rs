@@ -1,12 +1,13 @@
 //! The turbulent round jet: mean velocities of a stream that mixes with still air.
 //!
-//! Far from its origin every round jet is self-similar. It widens in proportion to the distance z: its half-radius (where the
-//! mean speed is half of that on the axis) is S·z with S = 0.094. The speed on the axis decays like 1/z, and the profile is
-//! 1/(1 + aη²)², η = r/z, a = (√2 − 1)/S² (Hussein, Capp and George 1994; Pope, *Turbulent Flows*, section 5.1). S and the
-//! conserved momentum determine the speed on the axis: u = B·u_exit·d/z with B = 5.93 (measurements: 5.8 to 6.1).
+//! Far from its origin every round jet is self-similar. It widens in proportion to the distance z: its half-radius
+//! (where the mean speed is half of that on the axis) is S·z with S = 0.094. The speed on the axis decays like 1/z, and
+//! the profile is 1/(1 + aη²)², η = r/z, a = (√2 − 1)/S² (Hussein, Capp and George 1994; Pope, *Turbulent Flows*,
+//! section 5.1). The speed on the axis follows from S and the conserved momentum: u = B·u_exit·d/z with B = 5.93
+//! (measurements: 5.8 to 6.1).
 //!
-//! Bauersfeld et al. (arXiv 2403.13321) measured that the air below a quadrotor is such a jet, with the momentum of the thrust,
-//! from about 2.5 times the distance of its motors on. The constants here are the classic ones, not their fit.
+//! Bauersfeld et al. (arXiv 2403.13321) measured that the air below a quadrotor is such a jet, with the momentum of the
+//! thrust, from about 2.5 times the distance of its motors on. The constants here are the classic ones, not their fit.
 
 use std::f64::consts::PI;
 
@@ -28,9 +29,9 @@ pub struct RoundJet {
 }
 
 impl RoundJet {
-    /// Radius (metres) of the circle with the share `inner` (0 to 1) of the momentum at distance `z`, and the mean speed (m/s)
-    /// there. At the nozzle the shares fill a disk evenly. The radii there and those of the far law are blended with the fourth
-    /// power, which nearly preserves the core's speed over four diameters.
+    /// Radius (metres) of the circle with the share `inner` (0 to 1) of the momentum at distance `z`, and the mean
+    /// speed (m/s) at that radius. At the nozzle the shares fill a disk evenly. The radii at the nozzle and those of
+    /// the far law are blended with the fourth power, which nearly preserves the core's speed over four diameters.
     pub fn stream(&self, inner: f64, z: f64) -> (f64, f64) {
         let inner = inner.clamp(0.0, 1.0 - 1e-9);
         let nozzle = self.exit_radius.powi(2);

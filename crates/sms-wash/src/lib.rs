@@ -1,5 +1,5 @@
-//! Propeller wash on rigid bodies behind one trait, [`Wash`]: the forces of the air that a vehicle's propellers push down on the
-//! bodies below.
+//! Propeller wash on rigid bodies behind one trait, [`Wash`]: the forces of the propellers' air on the bodies below a
+//! vehicle.
 //!
 //! | model | content | purpose |
 //! |---|---|---|
@@ -7,9 +7,9 @@
 //! | `jet` | turbulent round jets that merge ([`StreamWash::jet`], [`RoundJet`]) | screening |
 //! | `sph` | smoothed-particle hydrodynamics ([`SphWash`]) | refinement and the final score |
 //!
-//! [`WashSettings`] selects one. All are calibrated by momentum theory ([`ActuatorDisk`]; the paper's appendix "Quadrotor
-//! Propeller Model") and act on the same surfaces, unions of convex parts ([`BodySurface`]). Skin friction is neglected: the
-//! air loses the component of its momentum along a surface's normal.
+//! [`WashSettings`] selects one. All are calibrated by momentum theory ([`ActuatorDisk`]; the paper's appendix
+//! "Quadrotor Propeller Model") and act on the same surfaces, unions of convex parts ([`BodySurface`]). Skin friction
+//! is neglected: the air loses the component of its momentum along a surface's normal.
 //!
 //! The vehicle is a [`sms_robots::Quadrotor`], its approach a [`sms_robots::Flight`].
 //!

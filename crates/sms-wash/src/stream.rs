@@ -1,5 +1,5 @@
-//! The two analytic models: streams as bundles of flow lines with equal shares of the momentum, which they transfer to the first
-//! surface on their way.
+//! The two analytic models. A stream is a bundle of flow lines with equal shares of the momentum. Each flow line
+//! transfers its momentum to the first surface on its way.
 
 use crate::jet::RoundJet;
 use crate::wash::Stream;
@@ -23,7 +23,8 @@ pub struct StreamSettings {
     pub spokes: usize,
     /// Length of the flow lines, metres. A merged jet has a third of the exit speed there.
     pub reach: f64,
-    /// Distance at which the jets of all propellers have merged, in largest distances between motors (measured: 2.5, arXiv 2403.13321).
+    /// Distance at which the jets of all propellers have merged, in multiples of the largest distance between motors
+    /// (measured: 2.5, arXiv 2403.13321).
     pub merge_spans: f64,
     /// Number of pieces of a curved flow line; they are shorter near the propeller.
     pub pieces: usize,
@@ -43,23 +44,23 @@ impl Default for StreamSettings {
     }
 }
 
-/// StreamModel of a propeller's stream.
+/// Model of a propeller's stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum StreamModel {
     Tube,
     Jet,
 }
 
-/// Quasi-steady wash: the flow is that of the current thrusts, with its axis bent by the vehicle's current velocity. Each flow
-/// line loses the component of its momentum along the normal of the first surface that it meets. The air behind surfaces is
-/// still.
+/// Quasi-steady wash: the flow follows the current thrusts, and its axis is bent by the vehicle's current velocity.
+/// Each flow line loses the component of its momentum along the normal of the first surface that it meets. The air
+/// behind surfaces is still.
 pub struct StreamWash {
     shape: StreamModel,
     settings: StreamSettings,
     surfaces: Vec<BodySurface>,
     active: bool,
-    /// Cosine and sine of the angle of each flow line, ring by ring. Rings are rotated against each other, so that an edge crosses
-    /// lines one by one.
+    /// Cosine and sine of the angle of each flow line, ring by ring. Rings are rotated against each other, so that an
+    /// edge crosses lines one by one.
     turns: Vec<(f64, f64)>,
     /// One profile per propeller, reused while thrusts are constant.
     profiles: Vec<StreamProfile>,
@@ -69,7 +70,7 @@ pub struct StreamWash {
 #[derive(Debug, Clone, Default)]
 struct StreamProfile {
     emitted: Option<Emitted>,
-    /// For each ring the distance from the axis and the speed at the ends of pieces.
+    /// For each ring, the distance from the axis and the speed at the ends of pieces.
     rings: Vec<Vec<(f64, f64)>>,
 }
 
@@ -184,7 +185,7 @@ impl StreamWash {
         (0..self.settings.rings).map(ring).collect()
     }
 
-    /// Where the lines of a propeller run.
+    /// Returns the flow lines of a propeller.
     fn flow_lines<'a>(
         &self,
         stream: &Stream,
@@ -194,7 +195,7 @@ impl StreamWash {
         v_w: DVec3,
     ) -> FlowLines<'a> {
         let (pieces, distance) = self.pieces();
-        // Air farther down left the propeller earlier, at another position of the vehicle.
+        // Air farther down left the propeller earlier, when the vehicle was elsewhere.
         let sideways_w = v_w - v_w.dot(stream.axis_w) * stream.axis_w;
         let (mut transit_s, mut last) = (0.0, (0.0, rings[0][0].1));
         let axis_w = (0..=pieces)
@@ -215,7 +216,7 @@ impl StreamWash {
         }
     }
 
-    /// Whether the flow lines can meet a body.
+    /// Returns whether the flow lines can meet a body.
     fn in_reach(&self, body: usize, lines: &FlowLines<'_>, x_wb: &DPose3) -> bool {
         let Some(extent) = self.surfaces[body].extent() else { return true };
         let (radius, center_w) = (0.5 * extent.extents().length(), x_wb.transform_point(extent.center()));
@@ -227,7 +228,7 @@ impl StreamWash {
             && (to_center - along * lines.stream.axis_w).length() <= radius + widest + lines.aside
     }
 
-    /// Follows a flow line to the first surface and transfers its momentum there.
+    /// Follows a flow line to the first surface and transfers its momentum to the surface.
     fn follow(
         &self,
         lines: &FlowLines<'_>,
@@ -292,7 +293,7 @@ struct FlowLine {
     ring: usize,
     /// Direction from the axis, a unit vector in the world.
     outwards_w: DVec3,
-    /// Its share of the momentum flux, N.
+    /// Share of the momentum flux, N.
     share: f64,
 }
 
@@ -301,7 +302,7 @@ struct FlowLines<'a> {
     stream: Stream,
     /// The axis at the ends of pieces, in the world.
     axis_w: Vec<DVec3>,
-    /// For each ring the distance from the axis and the speed there.
+    /// For each ring, the distance from the axis and the speed at the ends of pieces.
     rings: &'a [Vec<(f64, f64)>],
     /// Largest offset of the bundle from the propeller's axis, by merging and by lag.
     aside: f64,

@@ -23,7 +23,7 @@ struct HalfSpacePlane {
 /// A convex solid: the intersection of its half spaces.
 #[derive(Debug, Clone)]
 struct ConvexPart {
-    /// The planes, with those that face along the axes first because they separate most points.
+    /// The planes. Those that face along the axes come first, because they separate most points.
     planes: Vec<HalfSpacePlane>,
     /// Bounding sphere; infinite for a half space.
     center: DVec3,
@@ -37,7 +37,7 @@ struct ConvexPart {
 pub struct SurfaceHit {
     /// Distance along the ray, or signed distance from the surface (negative inside), metres.
     pub distance: f64,
-    /// Outward normal there, in the frame of the query.
+    /// Outward normal at the point, in the frame of the query.
     pub normal: DVec3,
 }
 
@@ -86,7 +86,7 @@ impl ConvexPart {
         best
     }
 
-    /// The entry point of a ray from outside within `reach`; a start inside enters immediately.
+    /// Returns the entry point of a ray from outside within `reach`. A ray that starts inside enters immediately.
     fn ray(&self, origin: DVec3, direction: DVec3, reach: f64) -> Option<SurfaceHit> {
         let (mut enter, mut leave) = (f64::NEG_INFINITY, reach);
         let mut normal = -direction;
@@ -137,7 +137,8 @@ pub(crate) struct SurfaceContact {
 }
 
 impl ConvexPart {
-    /// The time at which a point comes within `offset` of the planes; none for a point inside that moves outwards or along.
+    /// Returns the time at which a point comes within `offset` of the planes; `None` for a point inside that moves
+    /// outwards or along a face.
     fn sweep(&self, p: DVec3, v: DVec3, duration: f64, offset: f64) -> Option<SurfaceContact> {
         let close = 1e-3 * offset;
         let (mut enter, mut leave) = (f64::NEG_INFINITY, duration);
@@ -209,7 +210,7 @@ impl DistanceGrid {
         Self { min, cell, inverse: 1.0 / cell, size, count, bounds }
     }
 
-    /// A lower bound of the distance at `p`; outside the grid the distance to the grid.
+    /// Returns a lower bound of the distance at `p`; outside the grid, this is the distance to the grid.
     fn at_least(&self, p: DVec3) -> f64 {
         let u = (p - self.min) * self.inverse;
         let beyond = (u - self.size).max(-u).max_element();
@@ -264,7 +265,7 @@ impl BodySurface {
         Self::from_convex(&[Mesh::cuboid(half)])
     }
 
-    /// The half space z < 0: a floor. It stops the air but does not count as structure.
+    /// The half space z < 0: a floor. It stops the air but is not part of the structure.
     pub fn half_space() -> Self {
         let plane = HalfSpacePlane { normal: DVec3::Z, offset: 0.0 };
         let bounds = Aabb { min: DVec3::NEG_INFINITY, max: DVec3::INFINITY };
@@ -297,7 +298,7 @@ impl BodySurface {
         Aabb::of_points((0..8).map(corner))
     }
 
-    /// A cheap lower bound of the distance at a point of `B`, metres.
+    /// Returns a cheap lower bound of the distance at a point of `B`, metres.
     pub fn distance_at_least(&self, p_b: DVec3) -> f64 {
         match &self.grid {
             Some(grid) => grid.at_least(p_b),
@@ -305,14 +306,14 @@ impl BodySurface {
         }
     }
 
-    /// Signed distance of a point of `B` from the surface, and the normal of the nearest face. Exact inside each part and in front
-    /// of its faces, a lower bound beyond its edges: the zero set has sharp edges.
+    /// Signed distance of a point of `B` from the surface, and the normal of the nearest face. Exact inside each part
+    /// and in front of its faces, a lower bound beyond its edges: the zero set has sharp edges.
     pub fn distance(&self, p_b: DVec3) -> SurfaceHit {
         nearest(&self.parts, p_b)
     }
 
-    /// The time at which a point at `p_b` with velocity `v_b` first comes within `offset` of the surface while not moving away from
-    /// it. Thin parts are not missed.
+    /// Returns the time at which a point at `p_b` with velocity `v_b` first comes within `offset` of the surface while
+    /// not moving away. Thin parts are not missed.
     pub(crate) fn sweep(&self, p_b: DVec3, v_b: DVec3, duration: f64, offset: f64) -> Option<SurfaceContact> {
         let end_b = p_b + duration * v_b;
         // The offset surface has corners farther out than the offset; four times covers right angles.

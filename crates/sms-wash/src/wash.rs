@@ -92,14 +92,15 @@ pub trait Wash: Send {
     /// Name of the model.
     fn name(&self) -> &'static str;
 
-    /// Advances the air by `dt` seconds past the vehicle and the bodies in their current states, and writes the mean wrench on each
-    /// body over that time.
+    /// Advances the air by `dt` seconds with the vehicle and the bodies in their current states, and writes the mean
+    /// wrench on each body over this time.
     ///
     /// # Panics
     /// When the number of `bodies` or `wrenches` differs from that of the surfaces, or thrusts from propellers.
     fn step(&mut self, dt: f64, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]);
 
-    /// Whether air is moving near the structure; otherwise wrenches are zero until the vehicle's wash reaches it.
+    /// Returns whether air is moving near the structure. If not, wrenches are zero until the vehicle's wash reaches the
+    /// structure.
     fn is_active(&self) -> bool;
 
     /// Saves the state of the air for [`Wash::restore`].
@@ -108,7 +109,7 @@ pub trait Wash: Send {
     /// Restores the saved state of the air, or still air if none was saved.
     fn restore(&mut self);
 
-    /// Positions of the particles for pictures; empty for models without particles.
+    /// Positions of the particles for rendering; empty for models without particles.
     fn particles_w(&self) -> Vec<[f32; 3]> {
         Vec::new()
     }

@@ -18,7 +18,8 @@ const OFFSETS: [f64; 3] = [0.0, 0.008, -0.012];
 
 /// Errors of one blow.
 struct Blow {
-    /// Ball's speed along the sweep over (1 + e)·v/(1 + m/M) − 1, with speed v and effective mass M of the touched point.
+    /// Ball's speed along the sweep over (1 + e)·v/(1 + m/M) − 1, with speed v and effective mass M of the touched
+    /// point.
     speed: f64,
     /// Sum of the momenta of ball and arm, relative.
     momentum: f64,
@@ -35,7 +36,7 @@ pub(super) fn momentum(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError>
     Ok(blows(factory)?.iter().map(|b| b.momentum).collect())
 }
 
-/// Of elastic blows.
+/// Energy errors of elastic blows.
 pub(super) fn energy(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     Ok(blows(factory)?.iter().filter(|b| b.restitution == 1.0).map(|b| b.energy).collect())
 }
@@ -84,7 +85,7 @@ fn blow(
     let received = simulation.received_impulse_w(striker).ok_or_else(missing)?;
     let mut after = simulation.arm(striker).ok_or_else(missing)?.clone();
     let energy_after = after.kinetic_energy() + 0.5 * mass * v.length_squared();
-    // The motors' momentum without the ball.
+    // Change of the arm's momentum by the motors without the ball.
     before.advance_to(simulation.time_s());
     let by_motors = before.kinetic_energy() - energy;
     Ok(Blow {

@@ -16,7 +16,7 @@ const ROUGH: [Surface; 4] = [(0.05, 0.95), (0.1, 0.95), (0.1, 0.5), (0.4, 0.9)];
 
 /// Direction error (degrees, to the left) and relative speed error of a ball struck at a cut in free space.
 ///
-/// Two equal solid spheres exchange (1+e)/2 of the closing speed along the line of centres; across it friction
+/// Two equal solid spheres exchange (1+e)/2 of the closing speed along the line of centres; across this line friction
 /// either slides (µ times the normal impulse) or sticks (a seventh of the tangential speed at the contact).
 fn oblique(
     factory: &dyn WorldFactory,
@@ -40,7 +40,7 @@ fn oblique(
     Ok(((v.y.atan2(v.x) - expected).to_degrees(), v.length() / normal.hypot(tangential) - 1.0))
 }
 
-/// [`oblique`] at every cut, speed and phase.
+/// Runs [`oblique`] for every cut, speed and phase.
 fn oblique_all(
     factory: &dyn WorldFactory,
     timing: bool,
@@ -74,7 +74,7 @@ pub(super) fn oblique_speed(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimE
         .collect())
 }
 
-/// Head on, with side spin: the surface that moves across drags the object ball with it.
+/// Head on, with side spin: the sideways motion of the surface drags the object ball along.
 pub(super) fn spin_throw(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     let mut errors = Vec::new();
     for (mu, e) in ROUGH {
@@ -97,8 +97,8 @@ pub(super) fn spin_throw(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimErro
     Ok(errors)
 }
 
-/// At a cut, with the spin of rolling or of draw: the slip has a part along the table and one across it, and friction, which
-/// is against the slip, throws the object ball the less the more the ball spins.
+/// At a cut, with topspin or draw: the slip has a component along the table and one across. Friction opposes the slip,
+/// so the sideways throw of the object ball decreases with the spin.
 pub(super) fn topspin_throw(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     let mut errors = Vec::new();
     for (mu, e) in ROUGH {
@@ -155,7 +155,7 @@ fn head_on_all(factory: &dyn WorldFactory) -> Result<Vec<(f64, f64)>, SimError> 
     Ok(errors)
 }
 
-/// The restitution of a dropped ball, as the square root of the share of its height that it comes back to.
+/// Restitution of a dropped ball: the square root of the share of its height that it reaches again.
 pub(super) fn drop(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     let mut errors = Vec::new();
     for e in [0.5, 0.8, 0.95] {
@@ -172,7 +172,7 @@ pub(super) fn drop(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
                 let state = simulation.state(1);
                 has_bounced |= state.v_w.z > 0.0;
                 if has_bounced {
-                    // The top itself lies between two steps.
+                    // The highest point lies between two steps.
                     top = top.max(state.x_wb.translation.z - R + state.v_w.z.max(0.0).powi(2) / (2.0 * G));
                     if state.v_w.z < 0.0 {
                         break;
@@ -185,7 +185,7 @@ pub(super) fn drop(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     Ok(errors)
 }
 
-/// A frictionless wall at 45°, as a hull and as a mesh, turns the normal velocity alone.
+/// A frictionless wall at 45°, as a hull and as a mesh, reverses only the normal velocity.
 pub(super) fn wall(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     let turn = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_4);
     let half = DVec3::new(0.2, 0.3, 0.1);
@@ -215,8 +215,8 @@ pub(super) fn wall(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     Ok(errors)
 }
 
-/// On the table: a rolling cue ball, cut 45°. The object ball leaves along the line of centres and ends rolling at 5/7
-/// of its first speed; the cue ball's spin carries it forward.
+/// A rolling cue ball on the table, cut 45°. The object ball leaves along the line of centres and finally rolls at 5/7
+/// of its initial speed; the spin of the cue ball moves it forward.
 pub(super) fn follow_through(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     Ok(follow_through_all(factory)?.into_iter().map(|e| e[0]).collect())
 }
@@ -229,15 +229,15 @@ pub(super) fn follow_through_cue(factory: &dyn WorldFactory) -> Result<Vec<f64>,
     Ok(follow_through_all(factory)?.into_iter().map(|e| e[2]).collect())
 }
 
-/// Direction (degrees) and relative speed of the object ball, direction of the cue ball (degrees).
+/// Returns direction (degrees) and relative speed of the object ball, and direction of the cue ball (degrees).
 fn follow_through_all(factory: &dyn WorldFactory) -> Result<Vec<[f64; 3]>, SimError> {
     let (e, speed, cut) = (0.95, 0.8, 45f64.to_radians());
     let mut errors = Vec::new();
     for phase in phases() {
         let gap = 0.05 + speed * DT * phase;
         let at_impact = DVec3::new(-2.0 * R * cut.cos(), 2.0 * R * cut.sin(), R);
-        // Frictionless balls on a rough cloth: the mean of both surfaces acts between cloth and ball, which leaves 0
-        // between the balls.
+        // Frictionless balls on a rough cloth: between cloth and ball the friction is the mean of both surfaces, so it
+        // is 0 between the balls.
         let bodies = vec![
             floor(material(0.6, 0.0, 0.0)),
             ball("cue", at_impact - DVec3::new(gap, 0.0, 0.0), material(0.0, e, 0.0))?,
@@ -265,7 +265,7 @@ mod tests {
     use super::*;
     use sms_sim::{RapierF64Factory, RapierFactory};
 
-    /// The reason for contact timing: without it the same shots are off by degrees.
+    /// The reason for contact timing: without it, the directions of the same shots are wrong by degrees.
     #[test]
     fn without_contact_timing_oblique_shots_are_bent() {
         let factories: [&dyn WorldFactory; 2] = [&RapierFactory, &RapierF64Factory];

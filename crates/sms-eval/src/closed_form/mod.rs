@@ -1,5 +1,5 @@
-//! Closed-form experiments for every engine: physics that a world must reproduce before its plans mean
-//! anything. [`probes`] lists them; tests hold each engine to [`Probe::limit`], `sms-experiments physics` prints the errors.
+//! Closed-form experiments for every engine: physics that a world must reproduce for valid plans. [`probes`] lists
+//! them. Tests check each engine against [`Probe::limit`], and `sms-experiments physics` prints the errors.
 //!
 //! ```
 //! use sms_eval::closed_form;
@@ -17,7 +17,7 @@ mod scenes;
 
 use sms_sim::{SimError, WorldFactory};
 
-/// Which figure of the errors the limit is for.
+/// Statistic of the errors that the limit applies to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Statistic {
     /// The largest absolute error.
@@ -33,7 +33,7 @@ pub struct Probe {
     pub name: &'static str,
     /// Description of the measured quantity.
     pub what: &'static str,
-    /// The largest error that is good enough, in the probe's unit.
+    /// Largest acceptable error, in the probe's unit.
     pub limit: f64,
     /// The statistic that `limit` bounds.
     pub statistic: Statistic,
@@ -55,17 +55,17 @@ impl Probe {
     /// Runs the experiment.
     ///
     /// # Errors
-    /// [`SimError`] when a world cannot be built or blows up.
+    /// [`SimError`] when a world cannot be built or diverges.
     pub fn measure(&self, factory: &dyn WorldFactory) -> Result<ErrorSummary, SimError> {
         let errors = (self.run)(factory)?;
-        // NaN must not pass for small.
+        // NaN must count as a failure.
         let worst =
             errors.iter().map(|e| if e.is_nan() { f64::INFINITY } else { e.abs() }).fold(0.0, f64::max);
         let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt();
         Ok(ErrorSummary { worst, rms, count: errors.len() })
     }
 
-    /// The figure that the limit is for.
+    /// Returns the statistic that the limit applies to.
     pub fn figure(&self, measured: &ErrorSummary) -> f64 {
         match self.statistic {
             Statistic::Worst => measured.worst,
@@ -222,7 +222,7 @@ pub fn probes() -> &'static [Probe] {
             Worst,
             motion::tipping_force,
         ),
-        // A quarter of the drift that a body of an exported scene may have in a second.
+        // A quarter of the permitted drift of a body of an exported scene in a second.
         probe(
             "stack_drift_mm",
             "how far boxes of a stack of four come in 4 s, mm",

@@ -4,7 +4,7 @@ use super::scenes::{DT, G, R, ball, cuboid, fixed, floor, launch, material, run,
 use glamx::{DPose3, DVec3};
 use sms_sim::{SimError, WorldFactory};
 
-/// A ball that slides at first rolls at 5/7 of its initial speed after 2v/(7µg), independent of friction.
+/// A ball that slides at first rolls at 5/7 of its initial speed after 2v/(7µg); this speed is independent of friction.
 pub(super) fn slide_to_roll(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     let mut errors = Vec::new();
     for mu in [0.1, 0.3, 0.6] {
@@ -22,9 +22,9 @@ pub(super) fn slide_to_roll(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimE
     Ok(errors)
 }
 
-/// A ball with draw and side spin: the friction's direction stays what it is at first until the ball rolls, after
-/// 2u/(7µg), where u is the speed of the ball's lowest point (Coriolis 1835); so the path is a parabola. Errors are
-/// distances from it over its length.
+/// A ball with draw and side spin. The direction of friction is constant until the ball rolls, after 2u/(7µg), where u
+/// is the initial speed of the ball's lowest point (Coriolis 1835). So the path is a parabola. Errors are distances
+/// from the parabola, relative to its length.
 pub(super) fn curved_path(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     let mut errors = Vec::new();
     for mu in [0.1, 0.3] {
@@ -37,7 +37,7 @@ pub(super) fn curved_path(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimErr
                 launch(&mut simulation, 1, v, w);
                 let slip = v + w.cross(-R * DVec3::Z);
                 let slides_s = 2.0 * slip.length() / (7.0 * mu * G);
-                // A whole number of steps within the sliding.
+                // A whole number of steps within the sliding phase.
                 let t = (0.95 * slides_s / DT).floor() * DT;
                 run(&mut simulation, t)?;
                 let expected = v * t - 0.5 * mu * G * t * t * slip.normalize_or_zero();
@@ -69,7 +69,7 @@ pub(super) fn rolling_stop(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimEr
     Ok(errors)
 }
 
-/// A block slides v²/(2µg) far.
+/// A block slides by v²/(2µg).
 pub(super) fn sliding_block(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     let mut errors = Vec::new();
     for (mu, speed) in [(0.2, 0.8), (0.5, 0.8), (0.5, 1.6)] {
@@ -77,7 +77,7 @@ pub(super) fn sliding_block(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimE
         let block =
             cuboid("block", DPose3::from_translation(DVec3::Z * half.z), half, material(mu, 0.0, 0.0))?;
         let mut simulation = simulate(factory, G, vec![floor(material(mu, 0.0, 0.0)), block])?;
-        // It settles by some µm first.
+        // The block first settles by some µm.
         run(&mut simulation, 0.2)?;
         let start = simulation.state(1).x_wb.translation.x;
         launch(&mut simulation, 1, DVec3::X * speed, DVec3::ZERO);
@@ -88,8 +88,8 @@ pub(super) fn sliding_block(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimE
     Ok(errors)
 }
 
-/// A platform of 0.24 m lies on a post 0.12 m wide; a force presses on its edge, 0.06 m beyond the post's: it tips above
-/// its weight. The threshold is found by bisection.
+/// A platform of 0.24 m on a post 0.12 m wide. A force on its edge, 0.06 m beyond the post's edge, tips it if the force
+/// exceeds its weight. The threshold is found by bisection.
 pub(super) fn tipping_force(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     let surface = || material(0.5, 0.0, 0.0);
     let (post, plate) = (DVec3::new(0.06, 0.06, 0.05), DVec3::new(0.12, 0.06, 0.005));
@@ -126,7 +126,7 @@ pub(super) fn tipping_force(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimE
     Ok(vec![0.5 * (low + high) / expected - 1.0])
 }
 
-/// Four boxes on each other stay where they are.
+/// A stack of four boxes stays in place.
 pub(super) fn stack(factory: &dyn WorldFactory) -> Result<Vec<f64>, SimError> {
     let half = DVec3::new(0.04, 0.04, 0.03);
     let mut bodies = vec![floor(material(0.5, 0.2, 0.0))];

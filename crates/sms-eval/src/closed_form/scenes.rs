@@ -62,7 +62,7 @@ pub(super) fn cuboid(name: &str, x_wb: DPose3, half: DVec3, material: Material) 
     })
 }
 
-/// The same body, immovable.
+/// Returns the same body, made static.
 pub(super) fn fixed(body: Body) -> Body {
     Body { kind: BodyKind::Static, mass: None, ..body }
 }
@@ -96,7 +96,7 @@ pub(super) fn simulate_with(
     )
 }
 
-/// Sets a body in motion from where it is.
+/// Sets a body in motion at its current position.
 pub(super) fn launch(simulation: &mut Simulation, body: BodyId, v_w: DVec3, w_w: DVec3) {
     let state = BodyState { v_w, w_w, ..simulation.state(body) };
     simulation.set_state(body, &state);
@@ -109,7 +109,7 @@ pub(super) fn run(simulation: &mut Simulation, seconds: f64) -> Result<(), SimEr
     Ok(())
 }
 
-/// Parts of a step at which experiments begin.
+/// Phases of a step at which experiments begin.
 pub(super) fn phases() -> impl Iterator<Item = f64> {
     (0..PHASES).map(|k| k as f64 / PHASES as f64)
 }

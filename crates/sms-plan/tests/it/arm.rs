@@ -18,8 +18,8 @@ fn standing_at(x: f64) -> RobotConfig {
     RobotConfig { x_world_robot: Some(x_world_robot), ..RobotConfig::default() }
 }
 
-/// The two balls, and a wall at the cue ball's right hand, where the hand, however it is held, would have to be for shots to
-/// the left.
+/// The two balls, and a wall at the cue ball's right hand, where the hand, however it is held, would have to be for
+/// shots to the left.
 fn scene() -> Scene {
     let half = DVec3::new(0.1, 0.02, 0.2);
     let post = Body {

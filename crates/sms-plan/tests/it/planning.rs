@@ -345,8 +345,8 @@ fn in_its_worlds_the_choice_beats_the_nominally_best_shot() {
     let robust =
         PlanConfig { evaluations: 200, starts: 8, candidates: 24, perturbation: wide.clone(), ..config() };
     let nominal = PlanConfig { perturbation: Perturbation { worlds: 0, ..wide.clone() }, ..robust.clone() };
-    // In the worlds in which the planner with this seed chose: 12, and 12 again for the best. That is what the choice is
-    // for; what it is worth in unseen worlds takes more than one scene and is measured by `sms-experiments robust`.
+    // In the worlds in which the planner with this seed chose: 12, and 12 again for the best. That is what the choice
+    // is for; what it is worth in unseen worlds takes more than one scene and is measured by `sms-experiments robust`.
     let mean = |config: &PlanConfig| {
         let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());
         let factory = RapierFactory;

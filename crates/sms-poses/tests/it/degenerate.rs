@@ -57,7 +57,7 @@ fn a_frame_that_sees_nothing_in_common_keeps_its_pose_relative_to_the_others() {
     let (result, warnings) = refine(&given);
     assert!(warnings.contains(&"poses_of_some_frames_kept".to_owned()), "{warnings:?}");
     let (after, before) = (poses(&result.sequence), poses(&given));
-    // The others are still refined; this one moves with the world at most.
+    // The other frames are still refined; this frame moves at most with the world.
     let errors = compare_poses(&after[..12], &poses(&truth), 0.8);
     assert!(errors.point_rms_m < 0.003, "{errors:?}");
     assert!((after[12].translation - before[12].translation).length() < 0.1);
@@ -69,11 +69,11 @@ fn a_floor_without_texture_corrects_only_what_it_determines() {
     let truth = bare_floor(12);
     let given = disturbed(&truth, 0.01, 0.5);
     let (result, _) = refine(&given);
-    // Height and tilt above the floor are determined: noise remains (1 mm uniform, so 0.5 mm median).
+    // Height and tilt above the floor are determined: only noise remains (1 mm uniform, so 0.5 mm median).
     let judged = result.report.judgement;
     assert!(judged.before.depth_median_m.unwrap() > 0.003, "{judged:?}");
     assert!(judged.after.depth_median_m.unwrap() < 0.0007, "{judged:?}");
-    // Position and heading are not determined; they must stay near the given ones.
+    // Position and heading are not determined; they must stay close to the given ones.
     for (refined, given) in poses(&result.sequence).iter().zip(poses(&given)) {
         assert!((refined.translation - given.translation).length() < 0.05);
         assert!(refined.rotation.angle_between(given.rotation) < 3f64.to_radians());

@@ -33,7 +33,7 @@ fn disturbed_poses_are_recovered_and_surfaces_agree_as_with_the_true_ones() {
         );
         assert!(after.point_rms_m < 0.0015, "{after:?}");
         assert!(after.position_rms_m < 0.0025 && after.rotation_rms_rad < 0.2f64.to_radians(), "{after:?}");
-        // With the true poses given, `before` is the effect of noise alone on held-out pairs.
+        // With the true poses as input, `before` is the effect of noise alone on held-out pairs.
         let floor = refine(&truth, PosesMode::On).report.judgement.before.depth_median_m.unwrap();
         let reached = result.report.judgement.after.depth_median_m.unwrap();
         assert!(reached < 1.15 * floor, "{reached} against {floor}");
@@ -58,7 +58,7 @@ fn exact_poses_with_noise_are_hardly_moved_and_auto_keeps_them() {
 fn the_scene_stays_where_it_was_given() {
     let given = disturbed(&billiards(1, 20), 0.010, 0.5);
     let result = refine(&given, PosesMode::On);
-    // No common motion brings the measured points nearer to where the given poses put them.
+    // No common rigid motion moves the measured points closer to their positions under the given poses.
     let points = |s: &Sequence| -> Vec<glamx::DVec3> {
         let all = s.frames.iter().flat_map(|f| {
             (0..f.depth.data.len()).step_by(37).filter(|&i| f.depth.data[i] > 0.0).map(|i| {
@@ -75,7 +75,7 @@ fn the_scene_stays_where_it_was_given() {
         "{moved:?}"
     );
     assert!(moved.rotation.to_scaled_axis().length() < 1e-3, "{moved:?}");
-    // Only poses are touched.
+    // Only poses are changed.
     for (a, b) in result.sequence.frames.iter().zip(&given.frames) {
         assert!(a.depth == b.depth && a.color == b.color && a.camera.intrinsics == b.camera.intrinsics);
     }

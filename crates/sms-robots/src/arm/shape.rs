@@ -209,8 +209,8 @@ pub(crate) fn distance(a: &LinkShape, x_wa: &DPose3, b: &LinkShape, x_wb: &DPose
     a.with_parry(|sa| b.with_parry(|sb| general_distance(sa, &a.parry_pose(x_wa), sb, &b.parry_pose(x_wb))))
 }
 
-/// Distance of a link's shape to an obstacle, metres; negative by the penetration depth. Beyond `enough`, any value above
-/// `enough` may be returned.
+/// Distance of a link's shape to an obstacle, metres; negative by the penetration depth. Beyond `enough`, any value
+/// above `enough` may be returned.
 pub(crate) fn obstacle_distance(
     (a, a_radius): (&LinkShape, f64),
     x_wa: &DPose3,

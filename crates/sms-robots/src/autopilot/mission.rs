@@ -28,7 +28,8 @@ pub struct MissionItem {
     pub command: u16,
     /// `MAV_FRAME`.
     pub frame: u8,
-    /// Parameters 1 to 7. For a place, 5 to 7 are latitude and longitude in degrees and the height in metres. NaN: not set.
+    /// Parameters 1 to 7. For a place, 5 to 7 are latitude and longitude in degrees and the height in metres. NaN: not
+    /// set.
     pub params: [f64; 7],
 }
 

@@ -66,8 +66,8 @@ pub fn write_csv(path: &Path, points: &[SetPoint]) -> Result<(), CoreError> {
     atomic::write_bytes(path, text.as_bytes())
 }
 
-/// Writes a telemetry log: for each set-point the time in microseconds (eight bytes, big endian), then a MAVLink 2 frame
-/// (crate `mavlink`) with the message SET_POSITION_TARGET_LOCAL_NED. Phases are not included.
+/// Writes a telemetry log: for each set-point the time in microseconds (eight bytes, big endian), then a MAVLink 2
+/// frame (crate `mavlink`) with the message SET_POSITION_TARGET_LOCAL_NED. Phases are not included.
 ///
 /// # Errors
 /// [`CoreError::Write`].

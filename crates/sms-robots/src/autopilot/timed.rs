@@ -108,7 +108,8 @@ impl TimedFlight {
         atomic::read_json(path)
     }
 
-    /// Writes one row per point to a Parquet file: `time_s`, `x`, `y`, `z` (m), `vx`, `vy`, `vz` (m/s), `yaw` (rad), `phase`.
+    /// Writes one row per point to a Parquet file: `time_s`, `x`, `y`, `z` (m), `vx`, `vy`, `vz` (m/s), `yaw` (rad),
+    /// `phase`.
     ///
     /// # Errors
     /// [`CoreError::Write`].

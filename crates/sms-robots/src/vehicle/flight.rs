@@ -29,8 +29,8 @@ impl BezierPath {
         path
     }
 
-    /// The paper's approach: control points at the start, at `radius` (metres) and `angle` (radians, about z from x) from the
-    /// landing point, and at the landing point, all at the height of `start_w`.
+    /// The paper's approach: control points at the start, at `radius` (metres) and `angle` (radians, about z from x)
+    /// from the landing point, and at the landing point, all at the height of `start_w`.
     pub fn approach(start_w: DVec3, landing_w: DVec3, radius: f64, angle: f64) -> Self {
         let landing_w = landing_w.with_z(start_w.z);
         let via_w = landing_w + radius * DVec3::new(angle.cos(), angle.sin(), 0.0);
@@ -89,8 +89,8 @@ impl Default for FlightSettings {
     }
 }
 
-/// A flight from start to motor cut. The vehicle stays level: at these speeds it tilts by less than 2° and accelerates for
-/// a tenth of a second.
+/// A flight from start to motor cut. The vehicle stays level: at these speeds it tilts by less than 2° and accelerates
+/// for a tenth of a second.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flight {
     path: BezierPath,

@@ -19,8 +19,8 @@ pub struct Rotor {
     pub radius: f64,
 }
 
-/// A multirotor. SI units, in the vehicle's frame `V`: z up, origin at the centre of mass, principal axes of inertia along the
-/// axes.
+/// A multirotor. SI units, in the vehicle's frame `V`: z up, origin at the centre of mass, principal axes of inertia
+/// along the axes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Quadrotor {
@@ -53,8 +53,8 @@ impl Quadrotor {
     /// Reads and checks a vehicle.
     ///
     /// # Errors
-    /// [`VehicleError::Vehicle`] when the text is malformed or the vehicle is impossible: values that are not positive, an
-    /// impossible inertia, overlapping propellers, feet above the body's bottom or on one line.
+    /// [`VehicleError::Vehicle`] when the text is malformed or the vehicle is impossible: values that are not positive,
+    /// an impossible inertia, overlapping propellers, feet above the body's bottom or on one line.
     pub fn from_toml(text: &str) -> Result<Self, VehicleError> {
         let vehicle: Self = toml::from_str(text).map_err(|e| VehicleError::Vehicle(e.to_string()))?;
         vehicle.check()?;

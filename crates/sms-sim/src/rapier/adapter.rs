@@ -16,24 +16,24 @@ use std::sync::Mutex;
 /// Rapier's tolerances assume bodies of a metre. This scale sets the prediction distance of contacts to 20 µm; at
 /// Rapier's default of 20 mm, a contact normal differs from that at the impact.
 const LENGTH_UNIT: f64 = 1e-3;
-/// Largest speed of a body, m/s. Rapier scales its limit with the length unit, which would leave 0.4 m/s.
+/// Largest speed of a body, m/s. Rapier scales its limit with the length unit, so its default would be 0.4 m/s.
 const MAX_SPEED: f64 = 400.0;
 /// Largest speed at which overlapping bodies are pushed apart, m/s. Reconstructed bodies may overlap by a millimetre at
 /// the start and must not be thrown apart.
 const MAX_PUSH_OUT_SPEED: f64 = 0.1;
-/// Relative motion since the last contact determination up to which its contacts are reused, metres.
+/// Contacts are reused while the relative motion since their determination is below this, metres.
 const RECYCLE_DISTANCE: f64 = 2e-4;
 /// Natural frequency of contacts, Hz. A body sinks in by g/(2πf)². With Rapier's 30 Hz the upper of two boxes sinks
 /// 0.55 mm into the lower; with this value, 12 µm.
 const CONTACT_FREQUENCY: f64 = 200.0;
-/// Speed below which a body may fall asleep, m/s at its farthest point. A ball rolls farther than an obstacle slides
-/// before it stops.
+/// Speed below which a body may fall asleep, m/s at its farthest point. The limit for balls is lower: a ball rolls
+/// farther than an obstacle slides before it stops.
 const SLEEP_SPEED_BALL: f64 = 1e-3;
 const SLEEP_SPEED: f64 = 5e-3;
-/// Time below that speed until a body sleeps, seconds. Half of Rapier's, at a tenth of its speed: the body has moved
+/// Time below this speed until a body sleeps, seconds. Half of Rapier's, at a tenth of its speed: the body has moved
 /// less than 2.5 mm.
 const TIME_UNTIL_SLEEP: f64 = 0.25;
-/// Approach speed from which a contact counts as an impact, m/s.
+/// Approach speed above which a contact counts as an impact, m/s.
 const IMPACT_SPEED: f64 = 5e-3;
 
 /// A world of Rapier.
@@ -50,8 +50,8 @@ pub(crate) struct RapierWorld {
     saved: Option<Box<RapierSnapshot>>,
 }
 
-/// A kinematic body. Rapier derives its velocity from two poses, which in single precision and at the short steps of
-/// impacts is off by percents. Therefore its velocity is set directly, and its pose is corrected after each step.
+/// A kinematic body. Rapier derives its velocity from two poses, which has errors of percents in single precision at
+/// the short steps of impacts. Therefore its velocity is set directly, and its pose is corrected after each step.
 #[derive(Clone)]
 struct RapierKinematic {
     body: BodyId,
@@ -76,7 +76,7 @@ struct RapierSnapshot {
     last_dt: f64,
 }
 
-/// Collects pairs of bodies that begin to touch, in the order in which Rapier reports them.
+/// Collects pairs of bodies that begin to touch, in the order of Rapier's reports.
 #[derive(Default)]
 struct Touches(Mutex<Vec<(BodyId, BodyId)>>);
 
@@ -108,10 +108,10 @@ impl EventHandler for Touches {
     fn handle_soft_body_tear_event(&self, _bodies: &SoftBodySet, _event: &SoftBodyTearEvent) {}
 }
 
-/// Friction due to restitution. Rapier applies restitution after friction, and the impulse that it adds, `e` times that
-/// of the compression, causes no friction. An impact's friction impulse is bounded by µ(1+e)·J, so the friction of a pair
-/// is scaled by 1+e at impacts (a closing contact without an impulse before). It is not scaled at resting contacts,
-/// where sliding friction would grow.
+/// Friction due to restitution. Rapier applies restitution after friction, so the restitution impulse (`e` times the
+/// compression impulse) causes no friction. The friction impulse of an impact is bounded by µ(1+e)·J, so the friction
+/// of a pair is scaled by 1+e at impacts (a closing contact without an impulse in the last step). It is not scaled at
+/// resting contacts, where it would increase sliding friction.
 struct ImpactFriction;
 
 impl PhysicsHooks for ImpactFriction {
@@ -145,8 +145,8 @@ impl RapierWorld {
         let p = &mut physics.integration_parameters;
         p.dt = options.dt as Real;
         p.min_ccd_dt = (options.dt / 100.0) as Real;
-        // Contact timing above this trait handles balls. The engine's own sweeps treat every thin hull as fast and recompute
-        // its mass properties in each step, more than half of a rollout.
+        // Contact timing above this trait handles balls. The engine's own sweeps treat every thin hull as fast and
+        // recompute its mass properties in each step, which takes more than half of a rollout.
         p.max_ccd_substeps = 0;
         p.length_unit = LENGTH_UNIT as Real;
         p.normalized_max_linear_velocity = (MAX_SPEED / LENGTH_UNIT) as Real;
@@ -154,8 +154,8 @@ impl RapierWorld {
         p.normalized_contact_recycle_distance = (RECYCLE_DISTANCE / LENGTH_UNIT) as Real;
         p.contact_softness.natural_frequency = CONTACT_FREQUENCY as Real;
         p.static_contact_softness.natural_frequency = CONTACT_FREQUENCY as Real;
-        // One friction point per manifold, with a twist. The other model, a point per contact, opposes the friction of a
-        // sliding box's corners to each other and loses 10 % of it (probe `sliding_block`).
+        // One friction point per manifold, with a twist. The other model, with one point per contact, lets the friction
+        // forces at the corners of a sliding box oppose each other and loses 10 % (probe `sliding_block`).
         p.friction_model = FrictionModel::Simplified;
         let mut world = Self {
             engine,
@@ -186,7 +186,7 @@ impl RapierWorld {
                 let mass = body.mass.as_ref().ok_or_else(|| refuse("it is dynamic and has no mass"))?;
                 RigidBodyBuilder::dynamic()
                     .additional_mass_properties(mass_properties(mass))
-                    // Without it Rapier limits the spin of small bodies.
+                    // Otherwise Rapier limits the spin of small bodies.
                     .allow_fast_rotation(true)
                     .can_sleep(self.options.sleep)
             }
@@ -206,7 +206,7 @@ impl RapierWorld {
             let collider = with_material(collider, friction, restitution)
                 .active_hooks(hooks)
                 .user_data(self.bodies.len() as u128);
-            // Two static bodies report nothing.
+            // No touches are reported between two static bodies.
             let collider = match body.kind {
                 BodyKind::Dynamic => collider.active_events(ActiveEvents::COLLISION_EVENTS),
                 BodyKind::Static => collider,
@@ -284,8 +284,8 @@ impl World for RapierWorld {
     fn step(&mut self, dt: f64) {
         let p = &mut self.physics.integration_parameters;
         p.dt = dt as Real;
-        // Contacts start from the last step's impulses, which scale with that step's length. A short step that starts from the
-        // impulses of a long one would throw resting bodies up.
+        // Contacts start from the impulses of the last step, which scale with its length. A short step that starts from
+        // the impulses of a long one would throw resting bodies up.
         p.warmstart_coefficient = (dt / self.last_dt).min(1.0) as Real;
         self.last_dt = dt;
         self.start_kinematics(dt);
@@ -468,8 +468,8 @@ fn colliders(shape: &BodyShape) -> Result<Vec<ColliderBuilder>, String> {
         BodyShape::Hulls { hulls } if hulls.is_empty() => Err("it has no hulls".to_owned()),
         BodyShape::Hulls { hulls } => hulls.iter().enumerate().map(hull).collect(),
         BodyShape::TriMesh { mesh } => {
-            // Contacts at inner edges of a flat surface would stop sliding bodies. Both sides count, because a reconstructed
-            // surface may be oriented either way.
+            // Contacts at inner edges of a flat surface would stop sliding bodies. Both sides count, because a
+            // reconstructed surface may be oriented either way.
             let flags =
                 TriMeshFlags::FIX_INTERNAL_EDGES_TWO_SIDED | TriMeshFlags::DELETE_DEGENERATE_TRIANGLES;
             ColliderBuilder::trimesh_with_flags(vertices(mesh), mesh.triangles.clone(), flags)
@@ -491,8 +491,8 @@ fn vertices(mesh: &Mesh) -> Vec<Vector> {
     mesh.vertices.iter().map(|&v| to_engine(v)).collect()
 }
 
-/// Diagonalized in double precision: in single precision the inertia of a small body, 1e-6 kg·m², is below the tolerances
-/// of the decomposition.
+/// Diagonalized in double precision: in single precision the inertia of a small body, 1e-6 kg·m², is below the
+/// tolerances of the decomposition.
 fn mass_properties(mass: &sms_core::MassProperties) -> MassProperties {
     let (moments, axes) = mass.principal();
     MassProperties::with_principal_inertia_frame(

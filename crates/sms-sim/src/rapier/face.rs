@@ -11,7 +11,7 @@ use glamx::DVec3;
 /// Vertices within this distance of a face's plane belong to the face, metres.
 const FLAT: f64 = 2e-5;
 
-/// A corner replaces the described corners if it is lower by this, metres. Rounding is a hundredth of it.
+/// A corner replaces the described corners if it is lower by this, metres. Rounding errors are a hundredth of this.
 const LOWER: Real = 1e-6;
 
 /// The plane of a face.
@@ -35,10 +35,10 @@ pub(super) fn to_engine(v: DVec3) -> Vector {
     Vector::new(v.x as Real, v.y as Real, v.z as Real)
 }
 
-/// The planes of the faces, the largest triangle's first, and the plane of each triangle (none for one of no area on an
-/// edge). Parry joins triangles whose normals differ by up to 1.5° in single precision and takes the first one's, so that a
-/// heavy box sinks through a board whose two sides have such a normal. Here a triangle belongs to a larger one's face if and
-/// only if it lies in its plane, whatever its own rounded normal.
+/// Returns the planes of the faces, starting with the largest triangle's, and the plane of each triangle (none for a
+/// triangle without area on an edge). Parry joins triangles with normals up to 1.5° apart in single precision and uses
+/// the normal of the first one. Such a normal on two sides of a board lets a heavy box sink through. Here a triangle
+/// belongs to the face of a larger one if and only if it lies in its plane, regardless of its own rounded normal.
 pub(super) fn planes(vertices: &[Vector], triangles: &[[u32; 3]]) -> (Vec<FacePlane>, Vec<Option<usize>>) {
     let corners: Vec<[DVec3; 3]> =
         triangles.iter().map(|t| t.map(|k| to_double(vertices[k as usize]))).collect();
@@ -67,13 +67,13 @@ pub(super) fn planes(vertices: &[Vector], triangles: &[[u32; 3]]) -> (Vec<FacePl
 pub(super) struct HullFace {
     /// Description by the four corners that span the largest area.
     whole: PolygonalFeature,
-    /// The corners, counter-clockwise around the normal, and for each the description by it, the next corner and the two others
-    /// that span the largest area with them. Empty for at most four corners.
+    /// The corners, counter-clockwise around the normal. Each has the description by this corner, the next one, and the
+    /// two others that span the largest area with them. Empty for at most four corners.
     sides: Vec<(Vector, PolygonalFeature)>,
 }
 
 impl HullFace {
-    /// The description with the lowest corner along `dir`.
+    /// Returns the description with the lowest corner along `dir`.
     pub(super) fn toward(&self, dir: Vector) -> &PolygonalFeature {
         let height = |k: usize| self.sides[k % self.sides.len()].0.dot(dir);
         let described = &self.whole.vertices[..self.whole.num_vertices];
@@ -95,7 +95,7 @@ impl HullFace {
         }
     }
 
-    /// The description that contains a point of the face.
+    /// Returns the description that contains a point of the face.
     pub(super) fn around(&self, point: Vector, normal: Vector) -> &PolygonalFeature {
         let outside = |a: Vector, b: Vector| (point - a).dot((b - a).cross(normal)) / (b - a).length();
         let n = self.whole.num_vertices;
@@ -186,9 +186,9 @@ fn widest_beside(corners: &[DVec3], k: usize) -> Vec<usize> {
     [0, 1, widest.1, widest.2].map(|i| (k + i) % n).to_vec()
 }
 
-/// Rotates the corners so that the second one forms the largest triangle with its neighbours, from which Parry takes the
-/// plane of a description; a corner between collinear neighbours would leave the plane to rounding. Returns the ends of a
-/// polygon less than [`FLAT`] across.
+/// Rotates the corners so that the second one forms the largest triangle with its neighbours. Parry derives the plane
+/// of a description from this triangle; with a corner between collinear neighbours, rounding errors would determine the
+/// plane. Returns the ends of a polygon less than [`FLAT`] across.
 fn from_widest_corner(corners: &[DVec3], chosen: Vec<usize>) -> Vec<usize> {
     let n = chosen.len();
     if n < 3 {

@@ -1,12 +1,13 @@
 //! Convex hulls that rest on their flat faces.
 //!
-//! Parry describes the face of a convex polyhedron by its first four vertices. On a round or many-cornered base these are
-//! neighbours, a sliver at its rim, and a body tips over that sliver. This shape is the same polyhedron, but describes each
-//! face by the four vertices that span the largest area. Where another vertex is lower, or a contact lies outside the four,
-//! it uses the side of the face there and the two vertices that span the largest area with it.
+//! Parry describes the face of a convex polyhedron by its first four vertices. On a round or many-cornered base, these
+//! are neighbours that span only a sliver at the rim, and a body tips over the sliver. This shape is the same
+//! polyhedron, but describes each face by the four vertices that span the largest area. If another vertex is lower, or
+//! a contact lies outside the four, it uses the nearby side of the face and the two vertices that span the largest area
+//! with this side.
 //!
-//! Parry also searches the nearest point of a polyhedron iteratively (GJK). In single precision this takes points beside the
-//! thin parts of dishes for inside, and balls sink into their walls. Here all faces are tested; there are few.
+//! Parry also searches for the nearest point of a polyhedron iteratively (GJK). In single precision, this treats points
+//! next to the thin walls of dishes as inside, and balls sink into the walls. Here all faces are tested; there are few.
 #![allow(
     clippy::unnecessary_cast,
     reason = "`Real` is f32 in one instance of this file and f64 in the other"
@@ -223,7 +224,8 @@ impl Shape for StableHull {
 mod tests {
     use super::*;
 
-    /// Five corners, four of which describe the face: the fifth does not sink in, and a contact beside it is found.
+    /// Five corners, with four of them in the description: the fifth does not sink in, and a contact next to it is
+    /// found.
     #[test]
     fn no_corner_of_a_face_is_left_out_where_it_matters() {
         let corner = |k: i32, z: f64| {
@@ -321,7 +323,7 @@ mod tests {
         }
     }
 
-    /// A part of a scanned bowl. Parry's single-precision query takes this point, 0.16 mm outside, for inside.
+    /// A part of a scanned bowl. Parry's single-precision query treats this point, 0.16 mm outside, as inside.
     #[test]
     fn points_beside_a_thin_wall_are_outside() {
         let wall: [[f64; 3]; 29] = [
@@ -364,7 +366,7 @@ mod tests {
         assert!(!found.is_inside && (distance - 1.589e-4).abs() < 2e-6, "{distance}");
     }
 
-    /// Compares with the closed form, and inside with the way out.
+    /// Compares with the closed form; inside points with the shortest way out.
     #[test]
     fn nearest_points_are_those_of_a_box() {
         let half = [0.02, 0.03, 0.05];

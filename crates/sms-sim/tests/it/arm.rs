@@ -1,4 +1,5 @@
-//! Strikes of the arm: free sweeps, limits and obstacles, in both precisions. The closed-form suite tests the struck ball.
+//! Strikes of the arm: free sweeps, limits and obstacles, in both precisions. The closed-form suite tests the struck
+//! ball.
 
 use crate::common::*;
 use glamx::{DPose3, DVec3};
@@ -35,7 +36,7 @@ fn heavy(name: &str, center: DVec3, mass: f64, e: f64) -> Body {
     }
 }
 
-/// A world without weight: the arm's own weight is its own affair.
+/// A world without gravity: the model of the arm handles its own weight.
 fn strike_of(
     factory: &dyn WorldFactory,
     bodies: Vec<Body>,
@@ -47,7 +48,7 @@ fn strike_of(
     (simulation, striker)
 }
 
-/// Steps until the ball moves and returns the arm before that step.
+/// Steps until the ball moves. Returns the arm before this step.
 fn until_touched(simulation: &mut Simulation, ball: BodyId) {
     for _ in 0..4000 {
         simulation.advance(1e-4).unwrap();
@@ -88,7 +89,7 @@ fn a_free_sweep_is_that_of_the_arm_alone() {
         for (x, y, angle, speed) in STRIKES {
             let sweep = Sweep::of_ball(DVec3::new(x, y, R), R, angle, speed, FIST_HALF.x);
             let plan = planned(&model, &sweep);
-            // A bystander, so that the world has a body.
+            // A distant ball, so that the world has a body.
             let far = ball("far", DVec3::new(-1.0, 0.0, R), material(0.0, 0.5, 0.0));
             let (mut simulation, striker) = strike_of(factory, vec![far], arm(&model, &sweep), 0.7);
             let alone = simulate_sweep(&model, &plan, &OscConfig::default(), &model, 1.0, DT);
@@ -128,7 +129,7 @@ fn what_does_not_move_stops_the_arm_within_its_limits() {
     let model = model();
     for factory in factories() {
         let sweep = Sweep::of_ball(DVec3::new(0.5, 0.0, R), R, 0.0, 0.5, FIST_HALF.x);
-        // Its face is where the ball's would be.
+        // The front face is where that of the ball would be.
         let half = DVec3::new(0.1, 0.1, 0.1);
         let face = 0.5 - R;
         let wall = DPose3::from_translation(DVec3::new(face + half.x, 0.0, 0.05));
@@ -231,7 +232,7 @@ fn parts_of_steps_are_no_affair_of_the_arm() {
     }
 }
 
-/// A moment after the touch the controller has hardly done anything.
+/// Shortly after the touch the controller has had hardly any effect.
 #[test]
 fn the_arm_recoils_as_the_ball_leaves() {
     let model = model();
@@ -244,7 +245,7 @@ fn the_arm_recoils_as_the_ball_leaves() {
         let v = simulation.state(striker).v_w.x;
         println!("{}: tool at {v:.3} m/s", factory.engine());
         assert!(v < 0.2, "{v}");
-        // The controller brings it back to its motion, which comes to rest.
+        // The controller returns the tool to its motion, which ends at rest.
         while !simulation.is_strike_over() {
             let before = simulation.state(striker);
             simulation.advance(DT).unwrap();

@@ -94,7 +94,7 @@ pub fn simulate(factory: &dyn WorldFactory, scene: &Scene, options: &WorldOption
     Simulation::new(factory, scene, options).unwrap()
 }
 
-/// Sets a body in motion from where it is.
+/// Sets a body in motion at its current position.
 pub fn launch(simulation: &mut Simulation, body: BodyId, v_w: DVec3, w_w: DVec3) {
     let state = BodyState { v_w, w_w, ..simulation.state(body) };
     simulation.set_state(body, &state);

@@ -34,7 +34,7 @@ fn without_rolling_resistance_a_ball_rolls_on() {
     }
 }
 
-/// Two boxes on each other, and nearby a ball that keeps bouncing, so that most steps are split.
+/// A stack of two boxes, and a ball nearby that keeps bouncing, so that most steps are split.
 #[test]
 fn a_stack_rests_under_split_steps() {
     for factory in factories() {
@@ -71,7 +71,7 @@ fn a_stack_rests_under_split_steps() {
             drift(&upper, 0.09)
         );
         assert!(simulation.split_count() > 100, "{} splits", simulation.split_count());
-        // Rapier's boxes creep sideways by some 25 µm a second, split steps or not.
+        // Rapier's boxes creep sideways by some 25 µm per second, with or without split steps.
         assert!(drift(&lower, 0.03) < 3e-4 && drift(&upper, 0.09) < 3e-4);
         assert!((lower.x_wb.translation.z - 0.03).abs() < 1e-4, "the lower box sinks");
         assert!((upper.x_wb.translation.z - 0.09).abs() < 1e-4, "the upper box sinks");
@@ -98,7 +98,7 @@ fn resting_drift_names_what_moves() {
     }
 }
 
-/// A pole that topples onto its neighbour is the one that is fixed: the neighbour rests once it stands.
+/// A pole topples onto its neighbour. Only the pole is fixed, because the neighbour then rests.
 #[test]
 fn the_body_that_leaves_first_is_fixed_and_no_others() {
     for factory in factories() {
@@ -106,7 +106,7 @@ fn the_body_that_leaves_first_is_fixed_and_no_others() {
         let at = |x: f64, z: f64| DPose3::from_translation(DVec3::new(x, 0.0, z));
         let half = DVec3::new(0.015, 0.015, 0.15);
         let angle = 0.25;
-        // Stands on its lower edge and leans towards +x.
+        // The pole stands on its lower edge and leans towards +x.
         let height = half.z * f64::cos(angle) + half.x * f64::sin(angle);
         let pole = DPose3::from_parts(DVec3::new(0.0, 0.0, height), DQuat::from_rotation_y(angle));
         let bodies = vec![
@@ -130,7 +130,7 @@ fn the_body_that_leaves_first_is_fixed_and_no_others() {
     }
 }
 
-/// Ball speed after a strike, relative to the closed form (1 + e)·v for a striker that gives no way.
+/// Ball speed after a strike relative to the closed form (1 + e)·v for a striker of infinite mass.
 fn strike_error(factory: &dyn WorldFactory, speed: f64, angle: f64, offset: f64) -> (f64, f64) {
     let e = 0.5 * (0.75 + 0.9);
     let center = DVec3::new(0.4, 0.1, R);
@@ -173,7 +173,7 @@ fn the_finger_gives_the_ball_one_plus_e_times_its_speed() {
     }
 }
 
-/// A torque about a skew axis accelerates a skew body as its inertia says: the whole tensor reaches the engine.
+/// A torque about a skew axis accelerates a skew body according to its inertia: the engine uses the whole tensor.
 #[test]
 fn the_whole_inertia_tensor_counts() {
     let skew = DPose3::from_parts(DVec3::ZERO, DQuat::from_scaled_axis(DVec3::new(0.4, -0.7, 0.3)));
@@ -358,8 +358,9 @@ fn boxes_and_cylinders_rest_where_they_stand() {
     }
 }
 
-/// A heavy bar on a light board whose edges fall off by a degree, as those of scanned boards do. Parry joins the slopes with the
-/// level faces in single precision and may take a slope's normal for all of it: the bar sank through the board.
+/// A heavy bar on a light board with edges that slope by a degree, as those of scanned boards do. In single precision,
+/// Parry joins the slopes with the level faces and may use the normal of a slope for all of them: the bar sank through
+/// the board.
 #[test]
 fn a_bar_stands_on_a_board_whose_edges_slope() {
     let (half, bevel) = (DVec3::new(0.42, 0.2, 0.006), 0.02);
@@ -408,7 +409,8 @@ fn a_bar_stands_on_a_board_whose_edges_slope() {
     }
 }
 
-/// A prism on five corners whose weight is beyond the side of the four that describe its base, and within the five.
+/// A prism on five corners. Its centre of mass is outside the four corners of its base description, but inside the
+/// five.
 #[test]
 fn a_prism_stands_on_all_corners_of_its_base() {
     let half_height = 0.03;
@@ -425,7 +427,7 @@ fn a_prism_stands_on_all_corners_of_its_base() {
             shape: BodyShape::Hulls { hulls: vec![hull.clone()] },
             ..cuboid(name, DPose3::from_translation(center), DVec3::splat(0.03), BodyKind::Dynamic, surface())
         };
-        // One on the floor, one on a table.
+        // One prism on the floor, one on a table.
         let table = DVec3::new(0.2, 0.2, 0.1);
         let at = DPose3::from_translation(DVec3::new(1.0, 0.0, table.z));
         let table_body = cuboid("table", at, table, BodyKind::Static, surface());
@@ -444,7 +446,7 @@ fn a_prism_stands_on_all_corners_of_its_base() {
     }
 }
 
-/// A plank on a block, 24 cm of its 60 beyond the block's edge: the law of the lever about that edge.
+/// A plank on a block, with 24 cm of its 60 cm beyond the block's edge: the lever law about this edge.
 #[test]
 fn a_plank_tips_under_the_load_of_the_lever() {
     let surface = || material(0.6, 0.0, 0.0);
@@ -460,7 +462,7 @@ fn a_plank_tips_under_the_load_of_the_lever() {
         };
         let most = LoadTest::default().most_n;
         for x in [0.34, 0.2, -0.26] {
-            // Arms of weight and load about the edge that the load is beyond.
+            // Lever arms of weight and load about the edge inside the load.
             let (weight_arm, load_arm) = if x > 0.0 { (0.06, x - 0.1) } else { (0.14, -0.1 - x) };
             let statics = mass * G * weight_arm / load_arm;
             let found = load("plank", x);
@@ -469,7 +471,7 @@ fn a_plank_tips_under_the_load_of_the_lever() {
                 Some(n) => assert!((n / statics - 1.0).abs() < 0.01, "{n} N, {statics} N"),
                 None => assert!(statics > most),
             }
-            // A ramp exceeds it by the increase while the plank sinks.
+            // The load of a ramp is larger, because it increases while the plank sinks.
             let p_w = DVec3::new(x, 0.0, 0.42);
             let ramp = LoadRamp { most_n: 40.0, ..LoadRamp::default() };
             match ramp_load_n(factory, &world, "plank", p_w, &ramp).unwrap() {
@@ -477,7 +479,7 @@ fn a_plank_tips_under_the_load_of_the_lever() {
                 None => assert!(statics > ramp.most_n - 3.0),
             }
         }
-        // Over the block nothing tips, and a static body bears any load.
+        // Above the block nothing tips, and a static body bears any load.
         assert_eq!((load("plank", 0.05), load("block", 0.05), load("nobody", 0.0)), (None, None, None));
     }
 }

@@ -1,4 +1,4 @@
-//! Which bodies touch each other first, in both precisions.
+//! First touches of bodies, in both precisions.
 
 use crate::common::*;
 use glamx::{DPose3, DVec3};
@@ -11,7 +11,7 @@ fn at(x: f64) -> DPose3 {
     DPose3::from_translation(DVec3::new(x, 0.0, 0.03))
 }
 
-/// A row of boxes: `a` and, 3 cm behind it, `b`, which stands against `c`; far off `d`.
+/// A row of boxes: `a`, then `b` 3 cm behind it, in contact with `c`; `d` far away.
 fn row() -> Scene {
     let surface = || material(0.3, 0.1, 0.0);
     let cube = |name: &str, x: f64| cuboid(name, at(x), HALF, BodyKind::Dynamic, surface());
@@ -42,7 +42,7 @@ fn a_row_of_boxes_is_pushed_in_order_and_what_stood_together_is_no_event() {
             assert_eq!(pairs(&simulation), [(finger, 1), (1, 2)], "{engine}: {:?}", simulation.contacts());
             let times: Vec<f64> = simulation.contacts().iter().map(|c| c.time_s - 0.5).collect();
             assert!((times[0] - motion.contact_s()).abs() < 0.01, "{engine}: {times:?}");
-            // 3 cm at up to 0.6 m/s.
+            // `a` travels 3 cm at up to 0.6 m/s.
             assert!(times[1] - times[0] > 0.04 && times[1] - times[0] < 0.3, "{engine}: {times:?}");
         }
     }

@@ -9,14 +9,14 @@ use sms_wash::{SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, W
 
 const G: f64 = 9.81;
 const DT: f64 = 0.0025;
-/// Upper side of the post on which the plank lies, and half of the post's width.
+/// Upper side of the post that carries the plank, and half the width of the post.
 const TOP: f64 = 0.3;
 const POST: f64 = 0.08;
 const THRUST: f64 = 2.9;
-/// Where the propeller is along the plank.
+/// Position of the propeller along the plank.
 const ALONG: f64 = 0.2;
 
-/// A plank of mass `mass` on a fixed post, its middle over the middle of the post.
+/// A plank of mass `mass`, centred on a fixed post.
 fn scene(mass: f64) -> Scene {
     let half = DVec3::new(0.35, 0.12, 0.01);
     let volume = 8.0 * half.x * half.y * half.z;
@@ -43,7 +43,7 @@ fn scene(mass: f64) -> Scene {
     }
 }
 
-/// How far the plank leans after a while of wash, radians.
+/// Returns the tilt of the plank after a while of wash, radians.
 fn lean(mass: f64, make: &dyn Fn(&Scene) -> Box<dyn Wash>) -> f64 {
     let scene = scene(mass);
     let options = WorldOptions { dt: DT, ..WorldOptions::default() };
@@ -63,7 +63,7 @@ fn lean(mass: f64, make: &dyn Fn(&Scene) -> Box<dyn Wash>) -> f64 {
     (simulation.state(2).x_wb.rotation * DVec3::Z).angle_between(DVec3::Z)
 }
 
-/// A plank whose middle lies `POST` inside of the edge tips when thrust × lever exceeds weight × POST.
+/// A plank with its centre `POST` inside the edge tips when thrust × lever exceeds weight × POST.
 fn tips_at_the_threshold(margin: f64, make: &dyn Fn(&Scene) -> Box<dyn Wash>) {
     let threshold = THRUST * (ALONG - POST) / (G * POST);
     let light = lean((1.0 - margin) * threshold, make);
@@ -86,7 +86,7 @@ fn an_overhanging_plank_tips_under_the_particles_at_the_threshold() {
     });
 }
 
-/// Bodies under no wash fall asleep, and the air can be taken back with the world.
+/// Bodies without wash fall asleep, and the air is restored with the world.
 #[test]
 fn a_restored_run_repeats_itself() {
     let scene = scene(0.5);
@@ -121,7 +121,8 @@ fn a_restored_run_repeats_itself() {
     assert!(first.w_w.length() > 0.1, "it was set in motion");
 }
 
-/// The vehicle cuts its motors 1 cm above a platform and touches down as a free body: on its feet, upright, where it was.
+/// The vehicle cuts its motors 1 cm above a platform and touches down as a free body: on its feet, upright, at the same
+/// place.
 #[test]
 fn the_quadrotor_stands_on_its_legs() {
     let vehicle = Quadrotor::default();

@@ -1,11 +1,11 @@
-//! Particles sorted into rows of cells. Rows are as wide as the kernel's support, so that neighbours are in three by three rows.
-//! Along the rows cells are shorter, so that runs are little longer than the support.
+//! Particles sorted into rows of cells. Rows are as wide as the kernel's support, so that neighbours are in three by
+//! three rows. Cells are shorter along the rows, so that runs are only slightly longer than the support.
 
 /// Largest number of cells; for widely spread particles, cells grow.
 const MAX_CELLS: usize = 1 << 20;
 /// Number of cells along a row per length of the support.
 const SHORTER: f32 = 4.0;
-/// Share of a cell by which rounding may move a particle.
+/// Largest displacement of a particle by rounding, as a share of a cell.
 const ROUNDING: f32 = 1e-4;
 
 /// The nine runs of particles around a cell.
@@ -64,7 +64,7 @@ impl CellGrid {
             sum += *count;
             *count = sum;
         }
-        // `start[i + 1]` is the beginning of cell i; placing its particles moves it to the end of the cell.
+        // `start[i + 1]` is the beginning of cell i. Placing the particles of the cell moves it to the end of the cell.
         self.place.clear();
         for &key in &self.key {
             let next = &mut self.start[key as usize + 1];
@@ -81,7 +81,7 @@ impl CellGrid {
         })
     }
 
-    /// Sorted particles that may be within the support around `x`.
+    /// Returns the sorted particles that may be within the support around `x`.
     #[inline(always)]
     pub(super) fn around(&self, x: [f32; 3]) -> Runs {
         let [_, b, c] = self.cell(x);

@@ -1,4 +1,5 @@
-//! Contact of particles with bodies: particles stop at surfaces, keep their tangential velocity, and pass on the rest.
+//! Contact of particles with bodies: particles stop at surfaces, keep their tangential velocity, and transfer the rest
+//! of their momentum.
 
 use crate::{BodyMotion, BodySurface};
 use glamx::{DPose3, DVec3};
@@ -64,7 +65,7 @@ pub(super) struct Obstacles<'a> {
     pub(super) motions: &'a [BodyMotion],
     pub(super) poses_bw: &'a [DPose3],
     pub(super) near: &'a [Near],
-    /// Distance that particles keep from surfaces because of their size, metres.
+    /// Distance of particles from surfaces due to their size, metres.
     pub(super) offset: f64,
     /// Mass of a particle, kg.
     pub(super) mass: f64,
@@ -104,7 +105,7 @@ impl Obstacles<'_> {
             let (motion, x_bw) = (&self.motions[body], &self.poses_bw[body]);
             let Near { around, speed: body_speed } = &self.near[body];
             let limit = best.map_or(dt, |b| b.1);
-            // As in `BodySurface::sweep`, to cover corners.
+            // As in `BodySurface::sweep`, with a margin for corners.
             let reach = limit * (speed + body_speed) + 4.0 * self.offset;
             if x_w.cmplt(around.min - reach).any() || x_w.cmpgt(around.max + reach).any() {
                 continue;

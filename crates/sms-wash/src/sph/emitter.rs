@@ -22,7 +22,7 @@ const GOLDEN: f64 = PI * (3.0 - 2.236_067_977_499_79);
 /// One emitter.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Emitter {
-    /// Mass to emit, kg.
+    /// Mass that is due for emission, kg.
     due: f64,
     layer: u32,
 }
@@ -72,13 +72,13 @@ fn layer_offsets(pattern: EmissionPattern, radius_in_spacings: f64, layer: u32, 
 }
 
 impl Emitter {
-    /// Drops the mass to emit, for a stopped propeller or one without a target.
+    /// Clears the due mass, for a stopped propeller or one without structure below.
     pub(super) fn rest(&mut self) {
         self.due = 0.0;
     }
 
-    /// Emits the layers that leave within `dt`, each at its position at the end of `dt`. Returns the numbers of emitted particles
-    /// and of those dropped for lack of capacity.
+    /// Emits the layers that leave within `dt`, each at its position at the end of `dt`. Returns the number of emitted
+    /// particles and the number dropped for lack of capacity.
     pub(super) fn emit(
         &mut self,
         stream: &Stream,

@@ -69,7 +69,7 @@ pub(super) fn each_chunk<T: Send>(
     }
 }
 
-/// Calls a function written against [`SphLanes`] with the widest lanes of the processor.
+/// Calls a function that is generic over [`SphLanes`], with the widest lanes of the processor.
 macro_rules! by_width {
     ($name:ident, $kernel:ident, ($($arg:ident: $type:ty),*)) => {
         fn $name<K: KernelShape>($($arg: $type),*) {
@@ -107,14 +107,14 @@ fn splat<L: SphLanes>(a: [f32; 3]) -> [L; 3] {
     [L::splat(a[0]), L::splat(a[1]), L::splat(a[2])]
 }
 
-/// The values of a run, and enough after it that eight can be read from each of them.
+/// Returns the values of a run and the padding after it, so that eight values can be read from every index.
 #[inline(always)]
 fn cut(values: &[f32], run: (u32, u32)) -> &[f32] {
     &values[run.0 as usize..run.1 as usize + WIDTH]
 }
 
-/// Difference of a particle's position from those of eight others, and its square. Beyond the first `count` the square is that
-/// of the support, where kernels are zero.
+/// Computes the offset of a particle from eight others, and its square. Beyond the first `count` lanes, the square is
+/// that of the support, where kernels are zero.
 #[inline(always)]
 fn offsets<L: SphLanes>(a: [L; 3], x: [&[f32]; 3], j: usize, count: u32, support2: L) -> ([L; 3], L) {
     let d = [a[0] - L::of(x[0], j), a[1] - L::of(x[1], j), a[2] - L::of(x[2], j)];

@@ -8,7 +8,7 @@ use std::f32::consts::PI;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SmoothingKernel {
-    /// Wendland's C2 function: (1 − q)⁴ (1 + 4q). Does not let particles pair (Dehnen and Aly 2012).
+    /// Wendland's C2 function: (1 − q)⁴ (1 + 4q). It prevents the pairing of particles (Dehnen and Aly 2012).
     #[default]
     WendlandC2,
     /// The cubic spline of Monaghan and Lattanzio (1985).
@@ -60,7 +60,7 @@ impl KernelShape for CubicSpline {
     fn slope<L: SphLanes>(q: L) -> L {
         let zero = L::splat(0.0);
         let (t, s) = ((L::splat(1.0) - q).max(zero), (L::splat(0.5) - q).max(zero));
-        // 3t² − 12s² equals 12q − 9q² below one half: the division there loses no digits, except at q = 0 itself.
+        // 3t² − 12s² equals 12q − 9q² below one half; this division loses digits only at q = 0.
         (L::splat(3.0) * t * t - L::splat(12.0) * s * s) * q.max(L::splat(1e-3)).reciprocal()
     }
 }

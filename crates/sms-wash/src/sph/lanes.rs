@@ -1,5 +1,6 @@
-//! Eight `f32` lanes. The sums over neighbours are written once against [`SphLanes`] and compiled twice: for plain arrays and,
-//! inside functions that enable AVX2, for registers. Both give the same bits: lanes are independent, and nothing is fused.
+//! Eight `f32` lanes. The sums over neighbours are written once against [`SphLanes`] and compiled twice: for plain
+//! arrays and, inside functions that enable AVX2, for registers. Both give the same bits: lanes are independent, and
+//! nothing is fused.
 
 use std::ops::{Add, Mul, Sub};
 
@@ -36,7 +37,7 @@ pub(super) trait SphLanes:
     }
 }
 
-/// PortableLanes implementation of [`SphLanes`].
+/// Portable implementation of [`SphLanes`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct PortableLanes(pub(super) [f32; WIDTH]);
 
@@ -114,7 +115,7 @@ mod avx2 {
     use std::arch::x86_64::*;
     use std::ops::{Add, Mul, Sub};
 
-    /// Masks: a window of eight that starts k before the middle begins with k ones.
+    /// Masks: a window of eight values that starts k before the middle begins with k ones.
     static WINDOW: [i32; 2 * WIDTH] = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 0];
 
     /// AVX2 implementation of [`SphLanes`]. Values of this type are created only inside functions that enable AVX2.

@@ -1,9 +1,9 @@
-//! Smoothed-particle hydrodynamics: the air of the propellers as particles that interact with each other and with the bodies
-//! (Monaghan 2005; the paper cites Koschier et al. 2020).
+//! Smoothed-particle hydrodynamics: the air of the propellers as particles that interact with each other and with the
+//! bodies (Monaghan 2005; the paper cites Koschier et al. 2020).
 //!
-//! The gas is weakly compressible. Pressure follows from density by an equation of state, clamped below at zero, and Monaghan's
-//! artificial viscosity damps shocks. As in the paper, only the air of the propellers is simulated: it flies freely to the
-//! structure, spreads along it and leaves. Particles that cannot meet the structure any more are retired.
+//! The gas is weakly compressible. Pressure follows from density by an equation of state, clamped below at zero, and
+//! Monaghan's artificial viscosity damps shocks. As in the paper, only the air of the propellers is simulated: it flies
+//! freely to the structure, spreads along it and leaves. Particles that cannot meet the structure any more are retired.
 //!
 //! Pair forces are equal and opposite, and a body receives the momentum that particles lose at its surface. Therefore
 //! emitted = in flight + retired + on bodies at any time, up to rounding ([`SphWash::ledger`]).
@@ -53,27 +53,29 @@ pub struct SphSettings {
     pub kernel: SmoothingKernel,
     /// Arrangement of emitted particles.
     pub pattern: EmissionPattern,
-    /// Sound speed of the gas, m/s. The real one would need steps of 0.1 ms. Forces on bodies are momentum fluxes and hardly depend on it.
+    /// Sound speed of the gas, m/s. The physical value would need steps of 0.1 ms. Forces on bodies are momentum fluxes
+    /// and hardly depend on the sound speed.
     pub sound_speed: f64,
     /// Exponent of the equation of state: 1 linear, 7 Tait's for liquids.
     pub exponent: f64,
-    /// Relative excess of density over that of the air without pressure. Sums over irregular particles scatter by about as much,
-    /// which must not widen a free jet.
+    /// Relative excess of density below which the pressure is zero. Density sums over irregular particles scatter by
+    /// about as much, and this scatter must not widen a free jet.
     pub slack: f64,
     /// Artificial viscosity, Monaghan's α.
     pub viscosity: f64,
     /// Step divided by (support / (sound speed + speed of the stream)).
     pub cfl: f64,
-    /// Emitters are active only while the structure is in their way within this distance, metres.
+    /// An emitter is active only while the structure is in its way within this distance, metres.
     pub reach: f64,
-    /// Particles are kept while they are, or will be, within this distance of the structure's bounding box, metres.
+    /// Particles are kept only if they are within this distance of the structure's bounding box, or will enter it,
+    /// metres.
     pub margin: f64,
     /// Age at which particles are retired, seconds.
     pub lifetime_s: f64,
-    /// Largest number of particles; emitters pause at it.
+    /// Largest number of particles; emitters pause when it is reached.
     pub max_particles: usize,
-    /// Uses the threads of the current rayon pool. Disable it if rollouts run in parallel: that is faster, and no thread starts
-    /// another rollout within a step. The results are the same.
+    /// Whether to use the threads of the current rayon pool. Disable this if rollouts run in parallel: this is faster,
+    /// and no thread starts another rollout within a step. The results are the same.
     pub parallel: bool,
 }
 
@@ -101,8 +103,8 @@ impl Default for SphSettings {
 }
 
 impl SphSettings {
-    /// Settings of an independent model of the same air, for the evaluation of plans that were made with `self`: particles of half
-    /// the size, and another kernel, sound speed and emission pattern.
+    /// Returns settings of an independent model of the same air, to evaluate plans made with `self`: particles of half
+    /// the size, with another kernel, sound speed and emission pattern.
     pub fn independent(&self) -> Self {
         Self {
             spacing: 0.5 * self.spacing,
@@ -181,7 +183,7 @@ pub struct SphWash {
 }
 
 impl SphWash {
-    /// Creates still air around bodies of these surfaces.
+    /// Creates a model with still air, for bodies with the given surfaces.
     ///
     /// # Errors
     /// [`WashError::Setting`] when a setting is out of range.
@@ -331,7 +333,7 @@ impl SphWash {
                 ledger.on_bodies_w += hit.impulse_w;
             }
             if !moved.x.iter().chain(&moved.v).all(|c| c.abs() < FARTHEST) {
-                // The particle diverged (too long a step); its effect on bodies is in their wrenches.
+                // The particle diverged because the step was too long. Its effect on bodies is in their wrenches.
                 continue;
             }
             let age = sorted.age[i] + dt as f32;
@@ -346,14 +348,14 @@ impl SphWash {
     }
 }
 
-/// Whether a particle is inside the box or flies towards it.
+/// Returns whether a particle is inside the box or flies towards it.
 fn will_meet(around: &Aabb, moved: &Moved) -> bool {
     let x = DVec3::from_array(moved.x.map(f64::from));
     let inside = x.cmpge(around.min).all() && x.cmple(around.max).all();
     inside || meets(around, x, DVec3::from_array(moved.v.map(f64::from)), f64::INFINITY)
 }
 
-/// Whether a ray is inside a box at some parameter from 0 to `reach`. A zero direction never is.
+/// Returns whether a ray is inside a box at some parameter from 0 to `reach`; false for a zero direction.
 fn meets(around: &Aabb, origin: DVec3, direction: DVec3, reach: f64) -> bool {
     let (mut enter, mut leave) = (0.0, reach);
     for axis in 0..3 {
@@ -398,7 +400,7 @@ impl Wash for SphWash {
             self.substep(dt / substeps, structure.as_ref(), bodies, wrenches);
         }
         for wrench in wrenches.iter_mut() {
-            // From impulses to forces.
+            // Converts impulses to forces.
             wrench.force_w /= dt;
             wrench.torque_w /= dt;
         }

@@ -76,7 +76,7 @@ impl Particles {
         self.set(i, x, v, age);
     }
 
-    /// Reorders the particles of `self`: particle `i` goes to `place[i]` of `sorted`.
+    /// Reorders the particles of `self`: particle `i` moves to `place[i]` of `sorted`.
     pub(super) fn scatter(&self, place: &[u32], sorted: &mut Self) {
         sorted.resize(self.len);
         for axis in 0..3 {
@@ -94,7 +94,7 @@ impl Particles {
     pub(super) fn copy_from(&mut self, other: &Self) {
         let len = other.len;
         self.resize(len);
-        // Without the padding, which an empty set lacks.
+        // Excludes the padding, which an empty set lacks.
         for axis in 0..3 {
             self.x[axis][..len].copy_from_slice(&other.x[axis][..len]);
             self.v[axis][..len].copy_from_slice(&other.v[axis][..len]);

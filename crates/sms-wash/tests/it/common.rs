@@ -21,7 +21,7 @@ pub(crate) fn hover<'a>(rotors: &'a [Rotor], thrusts: &'a [f64], p_w: DVec3) -> 
     VehicleState { x_wv: DPose3::from_parts(p_w, DQuat::IDENTITY), v_w: DVec3::ZERO, rotors, thrusts }
 }
 
-/// The wrenches on resting bodies in one step.
+/// Returns the wrenches on resting bodies after one step.
 pub(crate) fn once(wash: &mut dyn Wash, vehicle: &VehicleState<'_>, poses: &[DPose3]) -> Vec<Wrench> {
     let bodies: Vec<_> = poses.iter().map(|x| BodyMotion::at_rest(*x)).collect();
     let mut wrenches = vec![Wrench::default(); poses.len()];

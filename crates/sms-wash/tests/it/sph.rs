@@ -1,4 +1,4 @@
-//! Smoothed-particle hydrodynamics against momentum theory.
+//! Smoothed-particle hydrodynamics, compared with momentum theory.
 
 use crate::common::{WEIGHT, at, hover, rotors};
 use glamx::{DPose3, DVec3};
@@ -35,7 +35,7 @@ fn plate(half: f64) -> BodySurface {
     BodySurface::cuboid(DVec3::new(half, half, 0.005)).unwrap()
 }
 
-/// One propeller: nothing but the plate takes its momentum.
+/// One propeller: the plate receives all of its momentum.
 #[test]
 fn a_plate_carries_the_thrust_of_a_propeller() {
     let rotor = [rotors()[0]];
@@ -51,14 +51,15 @@ fn a_plate_carries_the_thrust_of_a_propeller() {
         let part = w.force_w.z / -2.9;
         println!("{} m: {part:.4} of the thrust, {} particles", settings.spacing, wash.particle_count());
         assert!((part / expected - 1.0).abs() < 0.05, "{settings:?}: {part}");
-        // It presses where it blows.
+        // The force acts below the propeller.
         let lever = DVec3::new(w.torque_w.y, -w.torque_w.x, 0.0) / -w.force_w.z;
         assert!(lever.distance(DVec3::new(0.1, 0.1, 0.0)) < 0.004, "{lever}");
         assert_eq!(wash.ledger().dropped, 0);
     }
 }
 
-/// Four propellers: where their streams meet on the plate a fountain rises, and the plate carries what it takes along as well.
+/// Four propellers: a fountain rises where their streams meet on the plate, and the plate also carries the reaction to
+/// its momentum.
 #[test]
 fn a_plate_carries_the_thrust_and_the_fountain() {
     let (rotors, thrusts) = (rotors(), [0.25 * WEIGHT; 4]);
@@ -75,8 +76,8 @@ fn a_plate_carries_the_thrust_and_the_fountain() {
     assert!(w.force_w.truncate().length() < 0.02 * WEIGHT && w.torque_w.length() < 0.002 * WEIGHT);
 }
 
-/// What was emitted is in flight, retired or on the bodies: on an inclined plate above a post, where particles meet edges,
-/// corners and two bodies.
+/// Emitted momentum is in flight, retired or on the bodies. An inclined plate above a post has edges, corners and
+/// contacts with two bodies.
 #[test]
 fn momentum_balances() {
     let (rotors, thrusts) = (rotors(), [2.0, 3.0, 2.5, 4.0]);
@@ -111,7 +112,7 @@ fn momentum_balances() {
     assert!(on_post > 0.01, "the post is met as well: {on_post} N·s");
 }
 
-/// A plate smaller than the wash, on pools of one, two and five threads, and without any.
+/// A plate smaller than the wash, on pools of one, two and five threads, and without a pool.
 #[test]
 fn the_number_of_threads_does_not_matter_and_restored_air_is_the_same() {
     let run = |threads: usize, parallel: bool| {
@@ -142,7 +143,7 @@ fn air_is_there_only_near_the_structure() {
     let (rotors, thrusts) = (rotors(), [0.25 * WEIGHT; 4]);
     let mut wash = SphWash::new(vec![plate(0.2), BodySurface::half_space()], SphSettings::default()).unwrap();
     let poses = [at(0.0, 0.0, 0.5), DPose3::IDENTITY];
-    // Beside the plate, and too high above it.
+    // Beside the plate, and too high above the plate.
     for p_w in [DVec3::new(0.8, 0.0, 0.9), DVec3::new(0.0, 0.0, 2.2)] {
         mean(&mut wash, &hover(&rotors, &thrusts, p_w), &poses, 0.0, 0.05);
         assert!(!wash.is_active(), "at {p_w}");
@@ -151,15 +152,15 @@ fn air_is_there_only_near_the_structure() {
     mean(&mut wash, &over, &poses, 0.0, 0.2);
     assert!(wash.is_active());
     for (x, _) in wash.particles() {
-        // None of them is farther away than the margin and a step's way.
+        // No particle is farther away than the margin plus the travel of a step.
         assert!(x[0].abs() < 0.4 && x[1].abs() < 0.4 && x[2] > 0.3, "{x:?}");
     }
-    // Motors off: in a second all of it has left.
+    // With the motors off, all particles leave within a second.
     mean(&mut wash, &hover(&rotors, &[0.0; 4], DVec3::new(0.0, 0.0, 0.9)), &poses, 0.0, 1.0);
     assert!(!wash.is_active());
 }
 
-/// A free jet keeps its width and its speed: there is no other air to mix with.
+/// A free jet keeps its width and speed, because there is no other air to mix with.
 #[test]
 fn a_free_jet_flies_straight() {
     let rotor = [Rotor { p_v: DVec3::ZERO, radius: 0.0685 }];
@@ -188,7 +189,7 @@ fn settings_out_of_range_are_refused() {
     }
 }
 
-/// Steps far beyond what is stable end in forces, finite or not, and never in a panic.
+/// Steps far beyond the stable length give finite or non-finite forces, but never panic.
 #[test]
 fn what_blows_up_does_not_panic() {
     let (rotors, thrusts) = (rotors(), [0.25 * WEIGHT; 4]);
@@ -198,7 +199,8 @@ fn what_blows_up_does_not_panic() {
     assert!(wash.particle_count() < 30_000);
 }
 
-/// The air of a moving propeller keeps falling where it was let go, as the tube's lag has it.
+/// The air of a moving propeller continues to fall at the place of its emission, as predicted by the lag of the tube
+/// model.
 #[test]
 fn the_wash_of_a_moving_vehicle_lags_behind() {
     let rotor = [Rotor { p_v: DVec3::ZERO, radius: 0.0685 }];

@@ -1,4 +1,4 @@
-//! The analytic models against closed forms.
+//! The analytic models, compared with closed forms.
 
 use crate::common::{WEIGHT, at, hover, once, rotors};
 use glamx::{DPose3, DQuat, DVec3};
@@ -42,8 +42,8 @@ fn the_paper_s_emission_presses_half_as_much() {
     assert!(!wash.is_active());
 }
 
-/// A stream F that meets a plate under the angle θ presses F·cos θ along the plate's normal, and turns it by F·cos θ times
-/// the distance of where the axis meets it.
+/// A stream F that meets a plate under the angle θ presses with F·cos θ along the plate's normal. Its torque is F·cos θ
+/// times the distance from the centre to the point where the axis meets the plate.
 #[test]
 fn an_inclined_plate_is_pressed_along_its_normal() {
     let rotor = [sms_robots::Rotor { p_v: DVec3::ZERO, radius: 0.05 }];
@@ -54,7 +54,7 @@ fn an_inclined_plate_is_pressed_along_its_normal() {
         let mut wash = StreamWash::disk(vec![plate(0.6)], StreamSettings::default()).unwrap();
         let w = once(&mut wash, &hover(&rotor, &[3.0], DVec3::new(offset, 0.0, 0.8)), &[x_wb])[0];
         assert!(w.force_w.distance(-3.0 * angle.cos() * normal_w) < 1e-9, "{angle}: {}", w.force_w);
-        // The lever is the distance of the meeting point along the upper side, 5 mm above the middle.
+        // The lever is the distance of this point along the upper side, 5 mm above the centre.
         let lever = (offset - 0.005 * angle.sin()) / angle.cos();
         let torque = 3.0 * angle.cos() * lever;
         assert!((w.torque_w.y - torque).abs() < 1e-3 * torque, "{angle}: {}", w.torque_w);
@@ -74,7 +74,7 @@ fn what_stands_in_the_shadow_feels_nothing() {
         let upper = w[0].force_w.z / -WEIGHT;
         assert!(upper > 0.99 && w[1].force_w.z.abs() < 0.01 * WEIGHT, "{}: {w:?}", wash.name());
     }
-    // A plate under two of the four propellers takes half; the floor the rest.
+    // A plate under two of the four propellers receives half of the force; the floor receives the rest.
     for mut wash in models(&[plate(0.3), BodySurface::half_space()]) {
         let w = once(
             &mut wash,
@@ -86,7 +86,7 @@ fn what_stands_in_the_shadow_feels_nothing() {
     }
 }
 
-/// The jet's share on a round target grows with the target as the published profile has it.
+/// The share of the jet on a round target grows with the target's size as in the published profile.
 #[test]
 fn a_small_target_far_below_takes_its_share_of_the_jet() {
     let (rotors, thrusts) = (rotors(), [0.25 * WEIGHT; 4]);
@@ -94,7 +94,7 @@ fn a_small_target_far_below_takes_its_share_of_the_jet() {
     for (z, half) in [(0.9f64, 0.05f64), (1.2, 0.1), (1.2, 0.2)] {
         let mut wash = StreamWash::jet(vec![plate(half)], fine).unwrap();
         let w = once(&mut wash, &hover(&rotors, &thrusts, DVec3::Z * (z + 0.005)), &[DPose3::IDENTITY])[0];
-        // All jets have merged: ∫ f² over the square, f = 1/(1 + aη²)², by midpoints.
+        // All jets have merged. The reference is ∫ f² over the square, f = 1/(1 + aη²)², by midpoints.
         let a = (2f64.sqrt() - 1.0) / sms_wash::SPREADING_RATE.powi(2);
         let n = 400;
         let mut share = 0.0;
@@ -106,12 +106,12 @@ fn a_small_target_far_below_takes_its_share_of_the_jet() {
         }
         share *= (2.0 * half / f64::from(n) / z).powi(2) * 3.0 * a / std::f64::consts::PI;
         let got = w.force_w.z / -WEIGHT;
-        // The nozzle's width still counts for a few per cent (it is blended out with the fourth power).
+        // The width of the nozzle still has an effect of a few per cent (blended out with the fourth power).
         assert!((got / share - 1.0).abs() < 0.08, "{z} {half}: {got} {share}");
     }
 }
 
-/// A body that flees at the air's speed feels nothing; one that comes towards it feels more.
+/// A body that moves away at the air's speed has no force; one that approaches has a larger force.
 #[test]
 fn the_speed_of_the_body_counts() {
     let rotor = [sms_robots::Rotor { p_v: DVec3::ZERO, radius: 0.05 }];
@@ -128,7 +128,7 @@ fn the_speed_of_the_body_counts() {
     }
 }
 
-/// Air that meets the plate now left a moving propeller earlier: by height / exit speed.
+/// Air that meets the plate now was emitted earlier by the moving propeller: by height / exit speed.
 #[test]
 fn the_wash_of_a_moving_vehicle_lags_behind() {
     let rotor = [sms_robots::Rotor { p_v: DVec3::ZERO, radius: 0.05 }];
@@ -139,7 +139,7 @@ fn the_wash_of_a_moving_vehicle_lags_behind() {
         let w = once(&mut wash, &vehicle, &[DPose3::IDENTITY])[0];
         let center = DVec3::new(w.torque_w.y, -w.torque_w.x, 0.0) / -w.force_w.z;
         let behind = -0.5 / exit * v_w;
-        // A jet slows down on its way, its outer parts most.
+        // A jet slows down, its outer parts most, so its lag is larger.
         let by = center.dot(behind) / behind.length_squared();
         assert!((0.999..=slower).contains(&by), "{}: {by}", wash.name());
         assert!((center - by * behind).length() < 1e-3, "{center}");

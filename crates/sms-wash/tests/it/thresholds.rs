@@ -1,4 +1,4 @@
-//! Rigid bodies with one degree of freedom under wash: they move when the closed form says so.
+//! Rigid bodies with one degree of freedom under wash: they move exactly when the closed form predicts it.
 
 use crate::common::hover;
 use glamx::{DPose3, DQuat, DVec3};
@@ -21,8 +21,8 @@ fn models(surface: &BodySurface) -> [Box<dyn Wash>; 3] {
     ]
 }
 
-/// Lean (radians) after half a second of a board that may turn down about an edge at x = `EDGE` and lies on something
-/// otherwise, while a propeller blows at it at x = `BLOWN`.
+/// Returns the tilt (radians) after half a second of a board that can rotate downwards about an edge at x = `EDGE`,
+/// while a propeller blows on it at x = `BLOWN`.
 const EDGE: f64 = 0.1;
 const BLOWN: f64 = 0.25;
 
@@ -53,7 +53,7 @@ fn lean(wash: &mut dyn Wash, half: DVec3, mass: f64) -> f64 {
     angle
 }
 
-/// Thrust × (its distance from the edge) against weight × (the middle's distance from it).
+/// Thrust × (distance of the propeller from the edge) against weight × (distance of the centre from the edge).
 #[test]
 fn a_board_tips_at_the_threshold() {
     let half = DVec3::new(0.5, 0.3, 0.005);
@@ -69,7 +69,7 @@ fn a_board_tips_at_the_threshold() {
     }
 }
 
-/// A propeller turned upside down below a box lifts it when the thrust exceeds the weight.
+/// An inverted propeller below a box lifts the box when the thrust exceeds the weight.
 #[test]
 fn a_box_is_lifted_at_the_threshold() {
     let half = DVec3::new(0.2, 0.2, 0.05);

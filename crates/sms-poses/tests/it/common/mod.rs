@@ -18,7 +18,7 @@ pub(crate) fn sequence(frames: Vec<Frame>) -> Sequence {
     Sequence { frames, x_world_recording: DPose3::identity(), source: "rendered".into() }
 }
 
-/// A billiards scene, filmed once around by a noisy depth camera (1 to 2 mm at these distances), at 160 × 100.
+/// A billiards scene at 160 × 100, recorded on a full circle by a noisy depth camera (1 to 2 mm at these distances).
 pub(crate) fn billiards(seed: u64, frames: usize) -> Sequence {
     let scene = generate_billiards(Seed(seed), &BilliardsSettings::default());
     let k = RecordingSettings::default().intrinsics().scaled_to(160, 100);
@@ -34,7 +34,7 @@ pub(crate) fn billiards(seed: u64, frames: usize) -> Sequence {
     sequence(path.poses(&scene, frames).into_iter().enumerate().map(render).collect())
 }
 
-/// A floor without texture, filmed from around.
+/// A floor without texture, recorded from all around.
 pub(crate) fn bare_floor(frames: usize) -> Sequence {
     let k = RecordingSettings::default().intrinsics().scaled_to(160, 100);
     let mut rng = Seed(5).rng();

@@ -236,8 +236,8 @@ impl TaskLaw {
 
     /// Computes the joint accelerations of the law.
     ///
-    /// With A = M⁻¹, Λ = (J A Jᵀ)⁻¹, desired accelerations a of the tool and p of the posture, q̈ = p + A Jᵀ Λ (a − J̇ q̇ − J p):
-    /// the tool has priority, and the posture acts in the dynamically consistent null space.
+    /// With A = M⁻¹, Λ = (J A Jᵀ)⁻¹, desired accelerations a of the tool and p of the posture, q̈ = p + A Jᵀ Λ (a − J̇
+    /// q̇ − J p): the tool has priority, and the posture acts in the dynamically consistent null space.
     pub(crate) fn accelerations(
         &mut self,
         model: &RobotModel,

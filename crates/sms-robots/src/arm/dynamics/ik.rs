@@ -152,8 +152,8 @@ impl RobotModel {
         Ok(found)
     }
 
-    /// Returns the posture nearest to `q` that puts the tool at `target`: short steps without the pull to the middle of the
-    /// ranges.
+    /// Returns the posture nearest to `q` that puts the tool at `target`: short steps without the pull to the middle of
+    /// the ranges.
     ///
     /// # Errors
     /// [`Unreachable`] when the iteration does not converge.
@@ -215,7 +215,8 @@ impl RobotModel {
         (share.max(0.0), manipulability(&jacobian))
     }
 
-    /// Levenberg-Marquardt iteration from `q`. Leaves the nearest posture in `q` and returns its position and angle errors.
+    /// Levenberg-Marquardt iteration from `q`. Leaves the nearest posture in `q` and returns its position and angle
+    /// errors.
     ///
     /// Steps move the joints that no limit blocks. In their null space the step leads to the middle of the ranges.
     fn descend(
@@ -286,8 +287,8 @@ impl RobotModel {
         let mut free = [true; MAX_JOINTS];
         let mut step: JointVector = [0.0; MAX_JOINTS];
         let mut goal = *error;
-        // A joint that the step would move through its limit stops there, and the step of the other joints is recomputed
-        // for the remaining error.
+        // A joint that the step would move through its limit stops there, and the step of the other joints is
+        // recomputed for the remaining error.
         for _ in 0..=n {
             let mut wish: JointVector = [0.0; MAX_JOINTS];
             for i in (0..n).filter(|&i| free[i] && self.joints[i].limits.lower.is_finite()) {

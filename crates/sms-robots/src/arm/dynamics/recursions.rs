@@ -111,8 +111,8 @@ impl RobotModel {
         }
     }
 
-    /// Accelerations under torques `tau`: q̈ = M⁻¹ (τ − C q̇ − g). Friction and damping have to be subtracted by the caller.
-    /// Returns false and leaves `qdd` unchanged when the mass matrix is singular (a joint that moves no mass).
+    /// Accelerations under torques `tau`: q̈ = M⁻¹ (τ − C q̇ − g). Friction and damping have to be subtracted by the
+    /// caller. Returns false and leaves `qdd` unchanged when the mass matrix is singular (a joint that moves no mass).
     pub fn forward_dynamics(
         &self,
         q: &[f64],

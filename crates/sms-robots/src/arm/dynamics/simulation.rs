@@ -6,8 +6,8 @@ use crate::arm::dynamics::workspace::{JointVector, Workspace};
 use crate::arm::model::RobotModel;
 use glamx::{DPose3, DVec3};
 
-/// A robot under joint torques, with damping, Coulomb friction and rotor inertia. It has no contacts, and position limits
-/// do not stop it.
+/// A robot under joint torques, with damping, Coulomb friction and rotor inertia. It has no contacts, and position
+/// limits do not stop it.
 #[derive(Debug, Clone)]
 pub struct ArmSim {
     /// Positions; the first `dof` are in use.

@@ -59,8 +59,8 @@ pub struct CheckItem {
     pub kind: CheckKind,
     /// Whether it passes.
     pub passed: bool,
-    /// Remaining margin, in SI units (positions and distances: rad or m; speeds; torques; the contact speed as a share);
-    /// negative when the check fails. `None` when there is nothing to measure.
+    /// Remaining margin, in SI units (positions and distances: rad or m; speeds; torques; the contact speed as a
+    /// share); negative when the check fails. `None` when there is nothing to measure.
     pub margin: Option<f64>,
     /// Description: value, limit, joint or links, phase and time.
     pub detail: String,
@@ -91,8 +91,8 @@ impl StrikeCheck {
 const LOOK_S: f64 = 0.01;
 
 /// Checks a planned strike: positions, speeds, torques and torque rates over all phases; self-collision and obstacles
-/// (including the floor, and the body to strike as [`Obstacle::struck`]) every 10 ms; and the sweep under control in free
-/// space.
+/// (including the floor, and the body to strike as [`Obstacle::struck`]) every 10 ms; and the sweep under control in
+/// free space.
 pub fn check_strike(
     model: &RobotModel,
     plan: &StrikePlan,
@@ -216,8 +216,8 @@ fn distances(
         .map(|(i, (found, name))| {
             let kind = if i == 0 { CheckKind::SelfCollision } else { CheckKind::Obstacle };
             let Some((c, phase, at_s)) = found else {
-                // Without shapes the distance is unknown and the check fails. With shapes but without pairs that can collide, it
-                // passes.
+                // Without shapes the distance is unknown and the check fails. With shapes but without pairs that can
+                // collide, it passes.
                 let known = model.collisions().iter().any(|c| c.joint.is_some());
                 let detail = if known {
                     format!("no shapes of the robot can touch {name}")

@@ -1,5 +1,5 @@
-//! Holds of the tool in a sweep: rotated about the sweep's direction or about the tool's own axis, so that the hand clears
-//! obstacles beside the ball.
+//! Holds of the tool in a sweep: rotated about the sweep's direction or about the tool's own axis, so that the hand
+//! clears obstacles beside the ball.
 
 use crate::arm::model::RobotModel;
 use crate::arm::shape::{Clearance, LinkShape, Obstacle, obstacle_distance};

@@ -128,8 +128,8 @@ pub struct Use {
 pub type Uses = [(LimitKind, Use); 4];
 
 impl JointMotion {
-    /// Computes the uses of all limits; `torque_rate` is the largest change of torque per second. Steps of Coulomb friction
-    /// at a reversal do not count: the joint controllers compensate them.
+    /// Computes the uses of all limits; `torque_rate` is the largest change of torque per second. Steps of Coulomb
+    /// friction at a reversal do not count: the joint controllers compensate them.
     pub fn uses(&self, model: &RobotModel, torque_rate: f64) -> Uses {
         let mut meter = Meter::new(model, torque_rate, self.period_s);
         self.samples.iter().for_each(|s| meter.note(s));

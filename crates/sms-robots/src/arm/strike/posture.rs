@@ -130,8 +130,8 @@ pub(crate) fn easiest_speeds(
     pull_back(jacobian, &weight, v, w)
 }
 
-/// The largest share of a position limit (0 in the middle of the range) or speed limit that a posture uses at the contact of
-/// a sweep, where the tool is fastest.
+/// The largest share of a position limit (0 in the middle of the range) or speed limit that a posture uses at the
+/// contact of a sweep, where the tool is fastest.
 pub(crate) fn strain(model: &RobotModel, sweep: &Sweep, q: &[f64], ws: &mut Workspace) -> f64 {
     let mut jacobian = Jacobian::default();
     model.forward_kinematics(q, ws);

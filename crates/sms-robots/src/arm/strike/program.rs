@@ -155,9 +155,9 @@ impl JointProgram {
         Ok(program)
     }
 
-    /// Writes one row per point to a Parquet file: `time_s`, `phase`, `executable` (1, or 0 in every row), for each joint
-    /// `q_NAME`, `qd_NAME`, `tau_NAME`, `tau_command_NAME`, and the tool's `x`, `y`, `z`, `qx`, `qy`, `qz`, `qw`; units as
-    /// in JSON.
+    /// Writes one row per point to a Parquet file: `time_s`, `phase`, `executable` (1, or 0 in every row), for each
+    /// joint `q_NAME`, `qd_NAME`, `tau_NAME`, `tau_command_NAME`, and the tool's `x`, `y`, `z`, `qx`, `qy`, `qz`, `qw`;
+    /// units as in JSON.
     ///
     /// # Errors
     /// [`CoreError::Write`].

@@ -47,17 +47,17 @@ pub trait ToolPath {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SweepProfile {
-    /// In each segment the acceleration rises over the first two fifths, is constant, and falls over the last two. It is
-    /// zero at the start, contact and end, so that torques are continuous and timing errors hardly change the contact speed.
-    /// Its peak is 5/3 of the uniform acceleration.
+    /// In each segment the acceleration rises over the first two fifths, is constant, and falls over the last two. It
+    /// is zero at the start, contact and end, so that torques are continuous and timing errors hardly change the
+    /// contact speed. Its peak is 5/3 of the uniform acceleration.
     #[default]
     Smooth,
     /// Uniform acceleration, then uniform deceleration; torques jump at the start, contact and end.
     Uniform,
 }
 
-/// A strike: from rest 0.1 m before the contact, the tool reaches `speed` at the contact and comes to rest 0.1 m beyond it,
-/// on a straight line, without rotation.
+/// A strike: from rest 0.1 m before the contact, the tool reaches `speed` at the contact and comes to rest 0.1 m beyond
+/// it, on a straight line, without rotation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Sweep {
     /// Position of the tool's origin at the contact, metres in the world.
@@ -73,8 +73,9 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    /// The strike of a ball of `radius` with its estimated centre at `center_w`, along (cos `angle`, sin `angle`, 0). The front
-    /// of the tool, `front_m` ahead of its origin (for the FR3's fist [`crate::FIST_HALF`]`.x`), touches the ball at `speed`.
+    /// The strike of a ball of `radius` with its estimated centre at `center_w`, along (cos `angle`, sin `angle`, 0).
+    /// The front of the tool, `front_m` ahead of its origin (for the FR3's fist [`crate::FIST_HALF`]`.x`), touches the
+    /// ball at `speed`.
     pub fn of_ball(center_w: DVec3, radius: f64, angle: f64, speed: f64, front_m: f64) -> Self {
         let direction_w = DVec3::new(angle.cos(), angle.sin(), 0.0);
         Self {

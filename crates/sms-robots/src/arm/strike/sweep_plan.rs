@@ -30,8 +30,8 @@ pub struct StrikeConfig {
     pub symmetric_tool: bool,
     /// Whether the tool may lean to a side if it cannot pass upright.
     pub turned_tool: bool,
-    /// Half extents of the striking box about the tool's origin, in the tool's frame, metres. Its front face, `x` ahead of
-    /// the origin, makes the contact.
+    /// Half extents of the striking box about the tool's origin, in the tool's frame, metres. Its front face, `x` ahead
+    /// of the origin, makes the contact.
     pub half_m: DVec3,
     /// Whether that box is checked for collisions besides the link shapes; the FR3's shapes include its fist.
     pub box_is_checked: bool,

@@ -37,8 +37,8 @@ pub struct Tracking {
     pub over_speed_periods: usize,
 }
 
-/// Simulates a sweep in free space: the controller uses `model` and drives `real`, which may differ from it, in steps of
-/// `dt` seconds.
+/// Simulates a sweep in free space: the controller uses `model` and drives `real`, which may differ from it, in steps
+/// of `dt` seconds.
 pub fn simulate_sweep(
     model: &RobotModel,
     plan: &SweepPlan,

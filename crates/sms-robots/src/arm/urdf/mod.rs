@@ -1,8 +1,8 @@
 //! Robots from URDF files.
 //!
-//! Supports links with mass and collision shapes (sphere, cylinder, capsule, box, convex hull of an STL or OBJ), joints of
-//! type revolute, continuous, prismatic and fixed with limits, damping and friction, and as an extension the attribute
-//! `armature` of `<dynamics>`. Visual shapes, transmissions and simulator elements are skipped.
+//! Supports links with mass and collision shapes (sphere, cylinder, capsule, box, convex hull of an STL or OBJ), joints
+//! of type revolute, continuous, prismatic and fixed with limits, damping and friction, and as an extension the
+//! attribute `armature` of `<dynamics>`. Visual shapes, transmissions and simulator elements are skipped.
 
 mod build;
 mod collision;
@@ -32,11 +32,11 @@ pub enum OffChain {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct UrdfOptions {
-    /// Link whose frame is the tool: x along the stroke of a strike, z away from the floor. By default the last link of a
-    /// robot that is a single chain.
+    /// Link whose frame is the tool: x along the stroke of a strike, z away from the floor. By default the last link of
+    /// a robot that is a single chain.
     pub tool: Option<String>,
-    /// Folders that are searched for `package://NAME/…`, as `FOLDER/NAME/…` or, if FOLDER is called NAME, as `FOLDER/…`,
-    /// after the URDF's own folder and those above it.
+    /// Folders that are searched for `package://NAME/…`, as `FOLDER/NAME/…` or, if FOLDER is called NAME, as
+    /// `FOLDER/…`, after the URDF's own folder and those above it.
     pub package_folders: Vec<PathBuf>,
     /// Positions of held joints: radians, metres.
     pub held: BTreeMap<String, f64>,
