@@ -1,15 +1,15 @@
-//! Boxes carried from one frame to the next by pose and depth.
+//! Boxes transferred from one frame to the next by pose and depth.
 
 use crate::owlv2::PixelBox;
 use sms_core::LabelMap;
 use sms_frames::Frame;
 
-/// Share of an object's pixels ignored at each edge of its carried box, so that a few wrong depths at its border do
+/// Share of an object's pixels ignored at each edge of its transferred box, so that a few wrong depths at its border do
 /// not enlarge the box.
 const TRIM: f64 = 0.005;
-/// Widening of a carried box, as a share of its size: the border's pixels seldom have depth.
+/// Widening of a transferred box, as a share of its size: border pixels seldom have depth.
 const WIDEN: f64 = 0.03;
-/// Least number of pixels with depth that carry a box.
+/// Smallest number of pixels with depth for transferring a box.
 const MIN_PIXELS: usize = 8;
 
 /// The expected position of an object.
@@ -19,12 +19,12 @@ pub(crate) enum Carried {
     At(PixelBox),
     /// Outside the picture.
     OutOfView,
-    /// Unknown: too few of its pixels have depth.
+    /// Unknown: too few of the object's pixels have depth.
     Unknown,
 }
 
-/// Returns the expected box of object `id` of `map`, the labels of frame `from`, in frame `to`, if the object does
-/// not move: the box of its pixels' points, projected into `to`.
+/// Returns the expected box of object `id` in frame `to` if the object does not move: the projected points of its
+/// pixels in `map`, the labels of frame `from`.
 pub(crate) fn carried_box(from: &Frame, map: &LabelMap, id: u16, to: &Frame) -> Carried {
     let (width, height) = to.color.size();
     let (mut us, mut vs) = (Vec::new(), Vec::new());

@@ -28,7 +28,7 @@ impl StageError for NetsError {
 }
 
 impl From<CoreError> for NetsError {
-    /// Keeps bad input recognizable, whichever crate found it.
+    /// Converts input errors of other crates to [`NetsError::Input`].
     fn from(error: CoreError) -> Self {
         match error {
             CoreError::Input(input) => Self::Input(input),

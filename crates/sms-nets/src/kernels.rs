@@ -1,8 +1,8 @@
 //! CPU kernels for operations that are slow in candle.
 //!
-//! Measured on two cores at the full sizes: candle computes the error function in double precision on one thread,
-//! the exponential of a softmax one value at a time, and a depthwise convolution as one matrix product per channel.
-//! Each kernel has a plain twin in the tests.
+//! Measured on two cores at the full sizes: candle computes the error function in double precision on one thread, the
+//! exponential of a softmax one value at a time, and a depthwise convolution as one matrix product per channel. The
+//! tests contain a plain version of each kernel.
 
 use candle_core::{CpuStorage, CustomOp3, Error, InplaceOp1, InplaceOp2, Layout, Result, Shape, Tensor};
 use pulp::Arch;
@@ -153,7 +153,7 @@ impl InplaceOp1 for ScaledSoftmax {
     }
 }
 
-/// Lanes of the sums and maxima: the order of additions affects the result, so it must not depend on the machine.
+/// Number of lanes of sums and maxima. The order of additions affects the result, so it must not depend on the machine.
 const LANES: usize = 32;
 
 #[inline(always)]
@@ -342,7 +342,7 @@ mod tests {
         let (w, h) = (6, 4);
         let plane: Vec<f32> = (0..w * h).map(|i| 2.0 * (i % w) as f32 - (i / w) as f32).collect();
         let large = resize_bilinear(&plane, (w, h), (18, 12));
-        // Away from the border a plane stays one: sample (x, y) lies at ((x + 0.5) / 3 − 0.5, …).
+        // Away from the border, a plane is preserved: sample (x, y) lies at ((x + 0.5) / 3 − 0.5, …).
         for (x, y) in [(5, 4), (9, 7)] {
             let at = |v: usize| (v as f32 + 0.5) / 3.0 - 0.5;
             assert!((large[y * 18 + x] - (2.0 * at(x) - at(y))).abs() < 1e-5);

@@ -2,13 +2,13 @@
 //!
 //! - [`owlv2`]: boxes around objects named by text queries (Minderer et al. 2023).
 //! - [`sam2`]: masks of boxed objects, in an image or through a video with memories (Ravi et al. 2024).
-//! - [`NetsMasks`]: both as one [`sms_masks::Segmenter`]: detection in the first frame and tracking through the
-//!   rest, as in the paper.
+//! - [`NetsMasks`]: both as one [`sms_masks::Segmenter`]: detection in the first frame and tracking through the rest,
+//!   as in the paper.
 //! - [`hub`]: their weights, from the Hugging Face hub or a folder.
 //!
-//! Intermediate tensors are compared with the reference implementation's (`tests/`), to 1e-4 at most. The networks
-//! compute in 32-bit floats, memories included (the library rounds those to bfloat16). The same input gives the
-//! same bytes, whatever the number of threads.
+//! Tests compare intermediate tensors with the reference implementation (`tests/`), to within 1e-4. The networks
+//! compute in 32-bit floats, including memories (the reference library rounds memories to bfloat16). The same input
+//! gives the same bytes for any number of threads.
 //!
 //! ```
 //! use sms_nets::owlv2::{Detection, PixelBox, suppressed};

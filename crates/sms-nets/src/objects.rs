@@ -4,7 +4,7 @@ use crate::NetsError;
 use crate::owlv2::PixelBox;
 use sms_core::{InputError, LabelInfo};
 
-/// Default queries: things found on tables.
+/// Default queries: objects found on tables.
 pub(crate) const HOUSEHOLD: [&str; 32] = [
     "mug",
     "cup",
@@ -59,7 +59,7 @@ pub fn parse_objects(list: &str) -> Result<Vec<String>, NetsError> {
     Ok(queries)
 }
 
-/// Returns the queries with other than Latin letters: the network was trained on English.
+/// Returns the queries with non-Latin letters: the network was trained on English.
 pub fn foreign(queries: &[String]) -> Vec<&str> {
     let is_foreign = |c: char| c.is_alphabetic() && !('\0'..='\u{24f}').contains(&c);
     queries.iter().filter(|q| q.chars().any(is_foreign)).map(String::as_str).collect()

@@ -4,8 +4,8 @@ use crate::kernels::{Activation, BiasActivation, Depthwise, ScaledSoftmax, can_t
 use candle_core::{D, Result, Tensor};
 use candle_nn::ops;
 
-/// Observer of intermediate tensors by name, for the parity tests. Tensors that are only observed are computed only
-/// with an observer.
+/// Observer of intermediate tensors by name, for the parity tests. Tensors that are needed only by an observer are
+/// computed only if there is one.
 #[derive(Default)]
 pub struct TensorObserver<'a> {
     look: Option<Box<dyn FnMut(&str, &Tensor) + 'a>>,
@@ -38,10 +38,10 @@ impl<'a> TensorObserver<'a> {
     }
 }
 
-/// Queries per block of the attention. A block's scores, 128 × 4096 floats, fit in a core's cache; measured on two
-/// cores this is twice as fast as all scores at once.
+/// Queries per block of the attention. The scores of a block, 128 × 4096 floats, fit in a core's cache. On two cores
+/// this is twice as fast as computing all scores at once.
 const QUERY_BLOCK: usize = 128;
-/// Scores (queries · keys) up to which whole windows go through one batched product.
+/// Largest number of scores (queries · keys) for which whole windows use one batched product.
 const SMALL_ATTENTION: usize = 256 * 256;
 
 /// A fully connected layer over the last dimension.
@@ -115,7 +115,7 @@ pub(crate) fn attention(q: &Tensor, k: &Tensor, v: &Tensor, heads: usize, scale:
         let shares = if can_take(&q) {
             softmax(q.matmul(&k.transpose(2, 3)?)?, scale)?
         } else {
-            // Scaling the queries, which are fewer than the scores, saves a pass.
+            // Scaling the queries, which have fewer values than the scores, saves a pass.
             ops::softmax_last_dim(&(q * scale)?.matmul(&k.transpose(2, 3)?)?)?
         };
         return shares.matmul(&v)?.transpose(1, 2)?.reshape((b, n, e));
@@ -139,7 +139,7 @@ pub(crate) fn attention(q: &Tensor, k: &Tensor, v: &Tensor, heads: usize, scale:
     Tensor::stack(&images, 0)
 }
 
-/// The same with `mask` (b, n, m) added to the scores; for short sequences.
+/// Like [`attention`], with `mask` (b, n, m) added to the scores; for short sequences.
 pub(crate) fn masked_attention(
     q: &Tensor,
     k: &Tensor,
@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn attention_by_blocks_equals_attention_at_once() {
         let at = |n, c| Tensor::randn(0f32, 1.0, (2, n, c), &Device::Cpu).unwrap();
-        // 300 · 257 scores exceed the limit, and neither is a multiple of the block.
+        // 300 · 257 scores exceed the limit, and neither number is a multiple of the block.
         let (q, k, v) = (at(300, 12), at(257, 12), at(257, 6));
         let blocked = attention(&q, &k, &v, 3, 0.7).unwrap();
         let split = |x: &Tensor| {
@@ -210,7 +210,7 @@ mod tests {
         assert!(gap < 1e-5, "{gap}");
     }
 
-    /// candle's own operations, which GPUs use, on the CPU: in double precision, which the CPU kernels do not
+    /// candle's own operations, which GPUs use, run here on the CPU in double precision, which the CPU kernels do not
     /// accept.
     #[test]
     fn without_our_kernels_the_same_comes_out() {

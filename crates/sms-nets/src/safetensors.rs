@@ -1,7 +1,7 @@
 //! Reader of safetensors files, one tensor at a time.
 //!
-//! The format is eight bytes of length, little-endian, a JSON object from names to type, shape and byte range, and
-//! the bytes. Files come from a download or from the user, so everything in them is checked.
+//! The format is eight bytes of length, little-endian, a JSON object from names to type, shape and byte range, and the
+//! bytes. Files come from a download or from the user, so all of their contents are checked.
 
 use crate::NetsError;
 use candle_core::{DType, Device, Tensor};
@@ -155,7 +155,7 @@ fn bytes_of(dtype: &str) -> Option<usize> {
     }
 }
 
-/// Describes the first bytes for the message: a web page and a pickle are the usual mistakes.
+/// Describes the first bytes for the message; common mistakes are a web page and a pickle.
 fn start_of(head: &[u8]) -> &'static str {
     match head {
         [b'<', ..] => "it starts like a web page",

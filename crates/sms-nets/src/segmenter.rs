@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 const STAGE: &str = "masks";
 /// Longest side of the images that the networks use.
 const LONG_SIDE_PX: usize = 1024;
-/// Frames whose recorded pictures are in memory at once.
+/// Number of frames with recorded images in memory at once.
 const FRAMES_AT_ONCE: usize = 16;
 
 /// Method of tracking objects from frame to frame.
@@ -30,7 +30,7 @@ pub enum Track {
     /// SAM 2's memory, as in the paper.
     #[default]
     Memory,
-    /// SAM 2 on each image separately, prompted with the box of the last mask carried by pose and depth; several
+    /// SAM 2 on each image separately, prompted with the box of the last mask, transferred by pose and depth; several
     /// times cheaper.
     Reprompt,
 }
@@ -41,11 +41,11 @@ pub enum Track {
 pub struct NetsConfig {
     /// Queries, usually nouns in English.
     pub objects: Vec<String>,
-    /// Least score of a detection. OWLv2's scores are low; its authors' examples use 0.1 to 0.3.
+    /// Smallest score of a detection. OWLv2's scores are low; its authors' examples use 0.1 to 0.3.
     pub threshold: f64,
-    /// Overlap from which the lower-scoring of two detections is dropped.
+    /// Overlap above which the lower-scoring of two detections is dropped.
     pub max_overlap: f64,
-    /// Share of the image from which a detection is the scene, not an object in it.
+    /// Share of the image above which a detection is the scene instead of an object in it.
     pub max_area_share: f64,
     /// Greatest number of objects; the highest scores are kept.
     pub max_objects: usize,
@@ -104,18 +104,18 @@ pub struct ModelFolders {
 pub struct NetsMasks {
     /// Settings of detection and tracking.
     pub config: NetsConfig,
-    /// Boxes in the first frame given by the user. They replace overlapping detections, and detections of the same
-    /// name that contain them or lie in them. If `config.objects` is empty, nothing else is detected.
+    /// Boxes in the first frame given by the user. They replace overlapping detections, and detections of the same name
+    /// that contain a box or lie inside it. If `config.objects` is empty, nothing else is detected.
     pub boxes: Vec<NamedBox>,
     /// Folders of the models.
     pub models: ModelFolders,
     /// Device of the computation.
     pub device: Device,
-    /// How the recording was read: the networks use its original images, not those resampled by the scan.
+    /// Options of reading the recording: the networks use its original images, not those resampled for the scan.
     pub read: ReadOptions,
 }
 
-/// Share of a box within another from which it counts as inside.
+/// Share of a box within another box above which it counts as inside.
 const INSIDE: f64 = 0.8;
 
 /// An object in the first frame.
@@ -130,8 +130,8 @@ pub struct DetectedObject {
 }
 
 impl DetectedObject {
-    /// Whether this box, given by the user, replaces a detection: the boxes overlap, or they have the same name and
-    /// one lies in the other. A detection that a user corrects is often half or twice as large as the object.
+    /// Returns whether this box, given by the user, replaces a detection: the boxes overlap, or they have the same name
+    /// and one lies inside the other. Detections that users correct are often half or twice as large as the object.
     fn replaces(&self, detected: &Self, max_overlap: f64) -> bool {
         let holds = |a: &PixelBox, b: &PixelBox| a.holds(b, INSIDE);
         self.bbox.overlap(&detected.bbox) > max_overlap
@@ -247,8 +247,8 @@ impl NetsMasks {
         Ok(found)
     }
 
-    /// Warns about objects named by the user that are not among `found`. Most objects of the default vocabulary are
-    /// absent.
+    /// Warns about objects in the user's list that are not among `found`. There is no warning for the default
+    /// vocabulary, because most of its objects are absent.
     fn warn_of_missing(&self, found: &[DetectedObject], warnings: &Warnings) {
         let objects = &self.config.objects;
         if found.is_empty() || *objects == crate::objects::HOUSEHOLD {
@@ -295,8 +295,7 @@ impl NetsMasks {
         Ok(detections(&heads.logits, &heads.boxes, size, self.config.threshold)?)
     }
 
-    /// Returns the original images of some frames, no larger than the networks need; `None` if the recording is
-    /// gone.
+    /// Returns the original images of some frames at the size that the networks need; `None` if the recording is gone.
     fn recorded(
         &self,
         sequence: &Sequence,
@@ -346,7 +345,7 @@ impl NetsMasks {
                 }
                 Track::Reprompt => {
                     for (i, bbox) in boxes.iter_mut().enumerate() {
-                        // From the frame where it was last visible: it may return.
+                        // From the frame in which the object was last visible: it may return.
                         let Some(last) = last_seen[i] else { continue };
                         match carried_box(&sequence.frames[last], &maps[last], i as u16 + 1, frame) {
                             Carried::At(carried) => *bbox = Some(carried),
@@ -382,7 +381,7 @@ impl NetsMasks {
     }
 }
 
-/// Gives each pixel the object with the largest logit, if above 0; the first of equals.
+/// Gives each pixel the object with the largest logit, if above 0 (the first of equals).
 fn labelled(masks: &[Option<ObjectMask>], (width, height): (usize, usize)) -> LabelMap {
     let mut map = LabelMap::filled(width, height, BACKGROUND);
     let mut best = vec![0f32; width * height];
@@ -400,7 +399,7 @@ fn labelled(masks: &[Option<ObjectMask>], (width, height): (usize, usize)) -> La
 
 impl NetsMasks {
     /// Applies [`NetsMasks::find`] to the first frame of `sequence`, in its original image if it still exists. This
-    /// takes seconds, but tracking takes minutes: callers can show the detections first.
+    /// takes seconds, but tracking takes minutes, so callers can show the detections first.
     ///
     /// # Errors
     /// As [`NetsMasks::find`].
@@ -416,7 +415,7 @@ impl NetsMasks {
         Ok(self.find(image, first.color.size(), cancel, warnings)?)
     }
 
-    /// Returns labels of all frames for the objects found in the first; the id of each is its index in `found`,
+    /// Returns labels of all frames for the objects found in the first one. The id of an object is its index in `found`
     /// plus 1. Objects without pixels keep their id and cause a warning.
     ///
     /// # Errors
@@ -444,7 +443,7 @@ impl NetsMasks {
 }
 
 impl Segmenter for NetsMasks {
-    /// The networks' borders are inexact by some pixels: [`sms_masks::complete`] corrects them, as for other
+    /// Mask borders of the networks are inexact by some pixels. [`sms_masks::complete`] corrects them, as for other
     /// sources.
     fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError> {
         let StageContext { progress, cancel, warnings, .. } = context;
@@ -467,10 +466,10 @@ mod tests {
         for (detected, expected) in [
             // Almost the same box, with another name.
             (found("bowl", 11.0, 20.0), true),
-            // Four times as wide, and a fifth.
+            // Four times as wide, and a fifth as wide.
             (found("mug", 0.0, 40.0), true),
             (found("mug", 12.0, 14.0), true),
-            // A spoon in the mug, the table under it, and another mug beside it.
+            // A spoon in the mug, the table below it, and another mug beside it.
             (found("spoon", 12.0, 14.0), false),
             (found("table", 0.0, 40.0), false),
             (found("mug", 17.0, 27.0), false),

@@ -38,13 +38,13 @@ impl Weights {
         Ok(Self::from(WeightsSource::File(Arc::new(SafetensorsFile::open(path)?)), device))
     }
 
-    /// Zeros under every name, to record the parameters that a network requests.
+    /// Returns zeros for every name, to record the parameters that a network requests.
     pub fn zeros() -> Self {
         Self::from(WeightsSource::Zeros, &Device::Cpu)
     }
 
-    /// Pseudo-random values under every name, of variance one over the number of inputs, so that activations stay
-    /// in the normal range: for benchmarks. The same seed gives the same values.
+    /// Returns pseudo-random values for every name, with a variance of one over the number of inputs, so that
+    /// activations stay in the normal range: for benchmarks. The same seed gives the same values.
     pub fn random(seed: u64, device: &Device) -> Self {
         Self::from(WeightsSource::Random(seed), device)
     }
@@ -71,8 +71,8 @@ impl Weights {
     /// Returns the parameter `name` of this shape, as 32-bit floats.
     ///
     /// # Errors
-    /// [`NetsError::Input`] if the file has no such parameter or it has another shape, as in another model's
-    /// weights.
+    /// [`NetsError::Input`] if the file lacks the parameter, or the parameter has another shape (as in the weights of
+    /// another model).
     pub fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor, NetsError> {
         let name = format!("{}{name}", self.prefix);
         if let Ok(mut requested) = self.requested.lock() {

@@ -1,9 +1,9 @@
-//! Plans shots on generated scenes with their true geometry, and carries them out in a finer world with the true
-//! materials: what the planner can reach when the scan is perfect up to a millimetre.
+//! Plans shots on generated scenes with their true geometry, and executes them in a finer world with the true
+//! materials. This measures the planner for a scan that is accurate to a millimetre.
 //!
 //! `cargo run --release -p sms-plan --example plan_generated -- [first seed] [number] [draft|standard|fine|paper]
-//! [speed_angle_contact|speed_angle] [free|blocked]`; `blocked` puts obstacles anywhere and asks for any cut.
-//! Tune on seeds from 1000 on; the ones below are for reported figures.
+//! [speed_angle_contact|speed_angle] [free|blocked]`; `blocked` allows obstacles anywhere and goals at any cut. Use
+//! seeds from 1000 on for tuning; lower ones are for reported results.
 
 use rand::RngExt;
 use sms_core::{Cancel, Interval, Material, Mesh, Property, PropertySource, Seed, StageContext, Warnings};
@@ -43,7 +43,7 @@ fn true_scene(truth: &TruthScene) -> Scene {
     }
 }
 
-/// The scene as a good scan might give it: balls within a millimetre, materials within their intervals.
+/// A scene as a good scan would reconstruct it: balls within a millimetre, materials within their intervals.
 fn believed_scene(truth: &Scene, seed: Seed) -> Scene {
     let mut rng = seed.rng();
     let mut believed = truth.clone();

@@ -10,7 +10,7 @@ pub struct Proposal {
     pub x: Vec<f64>,
     /// Purpose of the evaluation.
     pub phase: TrialPhase,
-    /// Index of the start that it belongs to; −1 during screening.
+    /// Index of the start of this search; −1 during screening.
     pub start: i32,
 }
 
@@ -19,17 +19,17 @@ pub struct Proposal {
 pub struct StartRecord {
     /// The initial point.
     pub initial: Vec<f64>,
-    /// Objective there.
+    /// Objective at this point.
     pub initial_objective: f64,
     /// The best point.
     pub x: Vec<f64>,
-    /// Objective there.
+    /// Objective at the best point.
     pub objective: f64,
     /// Rollouts used.
     pub evaluations: usize,
     /// Iterations (generations) used.
     pub iterations: usize,
-    /// Infeasible points that it proposed.
+    /// Number of infeasible points that the search proposed.
     pub refused: usize,
 }
 
@@ -55,11 +55,11 @@ pub trait BatchOptimiser {
 /// [`drive`] stops after this many infeasible points per evaluation of the budget.
 const MOST_REFUSED: usize = 8;
 
-/// Runs an optimiser until it ends or has used `budget` evaluations. Returns all evaluated points in the order in
-/// which they were proposed.
+/// Runs an optimiser until it ends or has used `budget` evaluations. Returns all evaluated points in the order in which
+/// they were proposed.
 ///
 /// Points for which the objective is `None` are infeasible. They do not count as evaluations, but the run stops after
-/// eight times as many as the budget. Uses rayon's current pool.
+/// eight infeasible points per evaluation of the budget. Uses rayon's current pool.
 ///
 /// # Errors
 /// The first error of the objective.

@@ -1,4 +1,4 @@
-//! Properties of bodies that the scan may have wrong.
+//! Properties of bodies that the scan may have estimated wrongly.
 
 use serde::{Deserialize, Serialize};
 use sms_scene::Body;

@@ -3,7 +3,7 @@
 use crate::PlanConfig;
 use sms_task::Action;
 
-/// Number of strategies that are followed through all worlds.
+/// Number of strategies with a candidate in all worlds.
 pub(crate) const STRATEGIES: usize = 4;
 
 /// An action in the choice over perturbed worlds.
@@ -20,8 +20,8 @@ pub(crate) struct RobustCandidate {
 }
 
 impl RobustCandidate {
-    /// The rank over the worlds tried so far, over the scanned world if it counts and is known, and over `more`
-    /// worlds with objective 0.
+    /// Returns the rank over the worlds tried so far, the scanned world if it counts and is known, and `more` worlds
+    /// with objective 0.
     pub(crate) fn rank(&self, config: &PlanConfig, more: usize) -> (usize, f64) {
         let nominal = if self.objective.is_finite() { config.nominal_worlds } else { 0 };
         let mut values = self.outcomes.clone();

@@ -5,14 +5,14 @@ use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
 use std::path::Path;
 
-/// Largest number of perturbed worlds. Each is a simulation of the whole scene that is kept, and there are twice as
-/// many as this setting.
+/// Largest number of perturbed worlds. Each is a simulation of the whole scene that stays in memory, and there are
+/// twice as many as this setting.
 const MOST_WORLDS: usize = 1024;
 
 /// Number of worlds in which all candidates are tried.
 pub(crate) const FIRST_WORLDS: usize = 4;
 
-/// A nominal search is not repeated when its best objective is within this share of the success limit: 1 cm of 5 cm.
+/// A nominal search is not repeated when its best objective is within this share of the success limit (1 cm of 5 cm).
 pub const SOLVED: f64 = 0.2;
 
 /// Methods of the nominal search.
@@ -21,8 +21,8 @@ pub const SOLVED: f64 = 0.2;
 pub enum Method {
     /// The paper: a local search from each of a number of random simplexes.
     MultiStart,
-    /// A part of the budget on Halton points, then local searches from the best ones: few evaluations for all, more for
-    /// the better half of them, and so on.
+    /// Successive halving: a part of the budget is spent on Halton points, then local searches start from the best
+    /// ones, with few evaluations for all, more for the better half, and so on.
     Halving,
 }
 
@@ -49,14 +49,14 @@ pub struct PlanConfig {
     pub starts: usize,
     /// Rollouts in the nominal world. With [`Method::MultiStart`] the optimiser's own limit applies instead.
     pub evaluations: usize,
-    /// Share of them spent on screening. Screening evaluates only strikes that the robot can carry out; infeasible
+    /// Share of these rollouts for screening. Screening evaluates only strikes that the robot can carry out; infeasible
     /// draws (at most eight per point) cost nothing.
     pub screening_share: f64,
     /// Whether the task may suggest points to try first (for billiards: aim at the ghost ball).
     pub suggestions: bool,
-    /// The local search. Its first steps are `initial_step` of the range that a start was drawn from.
+    /// The local search. Its first steps are `initial_step` times the range of its start.
     pub nelder_mead: NelderMead,
-    /// First step of the local search, as a share of the range that its start was drawn from.
+    /// First step of the local search, as a share of the range of its start.
     pub initial_step: f64,
     /// Number of searches at which [`Method::Halving`] stops halving.
     pub survivors: usize,
@@ -66,36 +66,37 @@ pub struct PlanConfig {
     /// objective exceeds [`SOLVED`] of the success limit. Not used by [`Method::MultiStart`].
     #[serde(rename = "anew")]
     pub restarts: usize,
-    /// Points of a scan of the perturbed worlds. Each is feasible for the robot and tried in one of the worlds.
+    /// Number of points in the scan of the perturbed worlds. Each is feasible for the robot and tried in one of the
+    /// worlds.
     pub scan: usize,
     /// Distinct actions of the nominal search that are tried in the first few perturbed worlds. The scan adds half
     /// this number.
     pub candidates: usize,
-    /// Simplex searches over the first few perturbed worlds, from the best candidates.
+    /// Number of simplex searches over the first few perturbed worlds, from the best candidates.
     pub descents: usize,
-    /// Points per search and round, each tried in all of these worlds. The worse half of the searches ends after a
-    /// round.
+    /// Number of points per search and round, each tried in all of these worlds. The worse half of the searches ends
+    /// after each round.
     pub descent: usize,
-    /// Smallest number of candidates that are tried in the first half of the worlds, and number of the best that
-    /// enter the second half.
+    /// Smallest number of candidates that are tried in the first half of the worlds, and number of best candidates in
+    /// the second half.
     pub finalists: usize,
     /// Statistic that is minimised over the perturbed worlds.
     pub objective: RobustObjective,
-    /// Weight of the scanned world, the most likely one, in the ranking, as a number of perturbed worlds. It steadies
+    /// Weight of the scanned world, the most likely one, in the ranking, as a number of perturbed worlds. It stabilizes
     /// a choice over few worlds. Simplex searches over perturbed worlds (`descents`, `polish_starts`) do not use it;
     /// their points are tried in the scanned world before they are ranked.
     pub nominal_worlds: usize,
-    /// Simplex searches over the first half of the worlds, from the best candidates.
+    /// Number of simplex searches over the first half of the worlds, from the best candidates.
     pub polish_starts: usize,
-    /// Points per search, each tried in all of these worlds.
+    /// Number of points per search, each tried in all of these worlds.
     pub polish: usize,
-    /// Worlds of the forecast. They play no part in the choice.
+    /// Number of worlds for the forecast. They are not used for the choice.
     pub forecast_worlds: usize,
-    /// Largest number of rollouts of the sensitivity analysis, and again of the counterfactuals that explain the
-    /// choice; 0 skips both. The analysis spends up to 64 more to separate the properties of the two materials that
-    /// matter most.
+    /// Largest number of rollouts of the sensitivity analysis, and of the counterfactuals that explain the choice; 0
+    /// skips both. The analysis spends up to 64 additional rollouts to separate the properties of the two most
+    /// important materials.
     pub sensitivity_rollouts: usize,
-    /// Errors that perturbed worlds and strikes are given.
+    /// Errors in perturbed worlds and strikes.
     #[serde(rename = "disturbances")]
     pub perturbation: Perturbation,
 }
@@ -159,7 +160,7 @@ impl PlanConfig {
         ] {
             r.count(key, value, low, high).map_err(named)?;
         }
-        // The command line has an option for it.
+        // The error names the option of the command line for this setting.
         r.count("disturbances.worlds", d.worlds, 0, MOST_WORLDS).map_err(|mut e| {
             e.what += " (`--robust` sets it)";
             named(e)

@@ -19,9 +19,9 @@ pub(crate) struct Counter<'a> {
     invalid: AtomicUsize,
     /// Invalid rollouts by reason: their number and the alphabetically first example.
     invalid_rollouts: Mutex<BTreeMap<String, (usize, String)>>,
-    /// Refused strikes that took the place of a rollout, by reason.
+    /// Strikes refused in place of a rollout, by reason.
     refused: Mutex<Reasons>,
-    /// Refused points of scans and searches, by reason. Others were tried in their place.
+    /// Refused points of scans and searches, by reason. Other points were tried in their place.
     passed_over: Mutex<Reasons>,
 }
 
@@ -84,7 +84,7 @@ impl<'a> Counter<'a> {
     fn note_invalid(&self, e: &SimError) {
         let (Ok(mut all), Some(reason)) = (self.invalid_rollouts.lock(), e.failure_reason()) else { return };
         let example = e.to_string();
-        // The first example in alphabetical order: threads finish in any order.
+        // The alphabetically first example, because threads finish in any order.
         let (count, least) = all.entry(reason).or_insert_with(|| (0, example.clone()));
         *count += 1;
         if example < *least {
@@ -103,7 +103,7 @@ impl<'a> Counter<'a> {
         all
     }
 
-    /// Strikes refused so far in the place of a rollout.
+    /// Returns the strikes refused so far in place of a rollout.
     pub(crate) fn refused(&self) -> Reasons {
         self.refused.lock().map(|r| r.clone()).unwrap_or_default()
     }

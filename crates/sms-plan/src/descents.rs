@@ -34,11 +34,11 @@ struct Member {
     initial_objective: Option<f64>,
     /// Evaluations left in this round.
     allowance: usize,
-    /// Infeasible points drawn for its start.
+    /// Number of infeasible points drawn for its start.
     passed_over: usize,
 }
 
-/// Draws for the first point of a random simplex (this many in the promising ranges and again in the whole box) and
+/// Number of draws for the first point of a random simplex (in the promising ranges, and again in the whole box) and
 /// for each other point. When all draws are infeasible, the search moves the point towards the first one.
 const FIRST_DRAWS: usize = 64;
 const NEXT_DRAWS: usize = 16;
@@ -60,7 +60,7 @@ pub(crate) struct Descents {
     /// Members of this round, best first.
     active: Vec<usize>,
     rounds_left: usize,
-    /// The member behind each proposed point.
+    /// The member that proposed each point.
     asked: Vec<usize>,
 }
 
@@ -148,7 +148,7 @@ impl Descents {
     /// Drops the worse half of the searches and shares the budget of this round. Returns whether there is a round.
     fn begin_round(&mut self, room: usize, first: bool) -> bool {
         if self.rounds_left == 0 {
-            // The last rounds left budget over: stopped searches continue, the best one first.
+            // If the last rounds left some budget, stopped searches continue, the best one first.
             let mut waiting: Vec<usize> =
                 (0..self.members.len()).filter(|&i| self.members[i].search.next_point().is_some()).collect();
             waiting.sort_by(|&a, &b| self.value(a).total_cmp(&self.value(b)));
@@ -219,7 +219,7 @@ fn random_simplex(space: &Space, seed: Seed, feasible: Feasible<'_>) -> Result<D
             }
         }
         if !drawn.can {
-            // Without a feasible first point there is no search.
+            // A search needs a feasible first point.
             drawn.points.resize(n + 1, drawn.points[0].clone());
             break;
         }

@@ -1,5 +1,5 @@
-//! Reasons for a choice, found by counterfactual rollouts: the outcome if a body that the shot relies on had another
-//! property.
+//! Reasons for a choice, found by counterfactual rollouts: the outcome if a body that the shot relies on had a
+//! different property.
 
 use crate::candidate::{RobustCandidate, key};
 use crate::search::ScoredPoint;
@@ -23,11 +23,11 @@ const HEAVY: f64 = 8500.0;
 /// Coefficients of slippery and rough, and of dull and lively surfaces.
 const FRICTIONS: [f64; 2] = [0.1, 0.9];
 const RESTITUTIONS: [f64; 2] = [0.1, 0.9];
-/// A change of the objective matters from this size on, metres, and from this factor on.
+/// Smallest change of the objective that matters, metres, and smallest factor.
 const MATTERS: (f64, f64) = (0.005, 2.0);
 /// A body that moves farther than this counts as pushed, metres.
 const PUSHED_M: f64 = 0.001;
-/// Limits on the bodies of the chosen shot and on the other strategies that are examined.
+/// Largest number of examined bodies of the chosen shot, and of other strategies.
 const MOST_BODIES: usize = 2;
 const MOST_OTHERS: usize = 2;
 /// Smallest budget of a search, rollouts.
@@ -51,7 +51,7 @@ struct ShotRecord {
     rollout: Rollout,
 }
 
-/// A world in which one body has another property, while a search runs in it.
+/// A world in which one body has a different property, with the state of a search in it.
 struct SearchWorld<'a> {
     worlds: &'a Worlds<'a>,
     /// The body; shots that do not touch it do not count.
@@ -62,7 +62,7 @@ struct SearchWorld<'a> {
     tried: usize,
 }
 
-/// A body with another property.
+/// A body with a different property.
 struct Change {
     body: BodyId,
     property: BodyProperty,
@@ -100,7 +100,7 @@ impl Explanation<'_> {
             }
         }
         found.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
-        // Keep the property that matters most of each body.
+        // Keep the most important property of each body.
         let mut explained: Vec<String> = Vec::new();
         for c in found {
             if !explained.contains(&c.body) {
@@ -137,7 +137,7 @@ impl Explanation<'_> {
         Some(Reason { text, counterfactual: None })
     }
 
-    /// Dynamic bodies that a shot relies on, without the two that the task names.
+    /// Returns the dynamic bodies that a shot relies on, without the two bodies of the task.
     fn props(&self, story: &Story) -> Vec<BodyId> {
         let (cue, target) = (self.session.task.cue().index, self.session.task.target().index);
         let mut props: Vec<BodyId> = Vec::new();
@@ -150,8 +150,8 @@ impl Explanation<'_> {
         props
     }
 
-    /// Strategies that rely on a body which the chosen one does not use: which property of it would make them good.
-    /// Searches shots of each strategy in the world where that body differs.
+    /// Explains strategies that rely on a body that the chosen one does not use, by the property of this body that
+    /// would make them good. Searches shots of each strategy in the world with this property.
     fn others(
         &self,
         chosen: &[RobustCandidate],
@@ -201,7 +201,7 @@ impl Explanation<'_> {
         Ok(reasons)
     }
 
-    /// Strategies other than the chosen one, ordered by their best shot; each with its shots, best first.
+    /// Returns strategies other than the chosen one, ordered by their best shot, each with its shots, best first.
     fn ways(&self, chosen: &str) -> Vec<(String, Vec<&ScoredPoint>)> {
         let mut by_name: BTreeMap<&str, Vec<&ScoredPoint>> = BTreeMap::new();
         for s in self.scored.iter().filter(|s| s.objective.is_finite()) {
@@ -218,9 +218,9 @@ impl Explanation<'_> {
         ways
     }
 
-    /// The best shot of a search world among those that still touch its body, and the number of shots tried. The first
-    /// half of the budget goes to shots that were tried in the scanned world, from the best to the worst; the other
-    /// half to a simplex search.
+    /// Returns the best shot of a search world among those that still touch its body, and the number of shots tried.
+    /// The first half of the budget is spent on shots from the scanned world, from the best to the worst; the other
+    /// half on a simplex search.
     fn best_in(
         &self,
         world: &mut SearchWorld<'_>,
@@ -249,7 +249,7 @@ impl Explanation<'_> {
         Ok((Some(space.action(&search.minimum().x)), world.tried))
     }
 
-    /// The objective of a unit point in a search world; infinite where the shot does not touch its body.
+    /// Returns the objective of a unit point in a search world; infinite if the shot does not touch its body.
     fn value_in(
         &self,
         world: &mut SearchWorld<'_>,
@@ -380,7 +380,7 @@ fn moved_m(rollout: &Rollout, body: &str) -> f64 {
     places().map(|p| p.distance(start)).fold(0.0, f64::max)
 }
 
-/// Whether the second objective is worse by a margin that matters.
+/// Returns whether the second objective is worse by a margin that matters.
 fn matters(better: f64, worse: f64) -> bool {
     worse - better >= MATTERS.0 && worse >= MATTERS.1 * better
 }

@@ -1,5 +1,5 @@
-//! The paper's baseline (appendix "Baseline Implementation Details"): a grid of speeds and angles, billiards
-//! geometry, and an obstacle map seen from above.
+//! The paper's baseline (appendix "Baseline Implementation Details"): a grid of speeds and angles, billiards geometry,
+//! and an obstacle map in top view.
 
 use crate::PlanError;
 use glamx::{DVec2, DVec3};
@@ -8,10 +8,10 @@ use sms_core::InputError;
 use sms_scene::{BodyShape, Scene};
 use sms_task::{Action, ResolvedTask};
 
-/// Predictions that differ by less than this are equal, metres: the model is not more accurate.
+/// Predictions count as equal if they differ by less than this, metres: the model is not more accurate.
 const RESOLUTION_M: f64 = 0.005;
 
-/// Settings of the baseline. The paper gives the grid and the threshold; the rest are our choices.
+/// Settings of the baseline. The grid and the threshold come from the paper; the other values are our choice.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GridBaseline {
@@ -27,9 +27,10 @@ pub struct GridBaseline {
     pub threshold_m: f64,
     /// Edge length of a map cell, metres.
     pub cell_m: f64,
-    /// Margin of the map around all bodies and the goal, metres. The workspace ends there.
+    /// Margin of the map around all bodies and the goal, metres. The workspace ends at the margin.
     pub margin_m: f64,
-    /// Simulated motion of the target ball, seconds. It does not slow down: the paper's model has no friction.
+    /// Simulated motion of the target ball, seconds. The ball does not slow down, because the paper's model has no
+    /// friction.
     pub horizon_s: f64,
 }
 
@@ -58,13 +59,13 @@ pub struct GridPlan {
 }
 
 impl GridBaseline {
-    /// Tries the whole grid and returns the action with the smallest predicted distance of the target ball to the
-    /// goal. Among predictions within 5 mm the fewest reflections win, then the lowest speed: a ball that never slows
-    /// down passes almost everywhere after enough reflections.
+    /// Tries the whole grid and returns the action with the smallest predicted distance of the target ball to the goal.
+    /// Among predictions within 5 mm, the action with the fewest reflections wins, then the lowest speed, because a
+    /// ball that never slows down passes almost everywhere after enough reflections.
     ///
     /// The model gives the cue ball the action's speed and angle at once, and the target ball the component along the
-    /// line of centres. After that the target ball moves at constant velocity and is reflected by obstacles and by
-    /// the borders of the map. No object moves.
+    /// line of centres. After that the target ball moves at constant velocity and is reflected by obstacles and by the
+    /// borders of the map. No object moves.
     ///
     /// # Errors
     /// [`PlanError::Input`] for tasks other than billiards.
@@ -131,7 +132,7 @@ struct Map {
 
 impl Map {
     fn new(settings: &GridBaseline, scene: &Scene, left_out: &[usize], goal: DVec2) -> Self {
-        // The view from above: triangles of each body with their heights.
+        // Triangles of each body, with their heights, for the top view.
         let mut triangles: Vec<[DVec3; 3]> = Vec::new();
         let mut bounds = [goal, goal];
         let mut include = |p: DVec2| bounds = [bounds[0].min(p), bounds[1].max(p)];
@@ -177,8 +178,8 @@ impl Map {
             + v * ((1.0 - u) * at(i, j + 1.0) + u * at(i + 1.0, j + 1.0))
     }
 
-    /// Smallest distance to the goal, metres, of a ball that starts at `p` with velocity `v` (m/s), and the number of
-    /// reflections before.
+    /// Returns the smallest distance to the goal, metres, of a ball that starts at `p` with velocity `v` (m/s), and the
+    /// number of reflections before it.
     fn nearest(&self, mut p: DVec2, mut v: DVec2, radius: f64, goal: DVec2, horizon_s: f64) -> (f64, usize) {
         let high = self.low + DVec2::new(self.size[0] as f64, self.size[1] as f64) * self.cell_m;
         let mut nearest = (p.distance(goal), 0);
@@ -203,7 +204,7 @@ impl Map {
                 let slope = |d: DVec2| self.clearance(next + d) - self.clearance(next - d);
                 let normal = DVec2::new(slope(DVec2::X * h), slope(DVec2::Y * h)).normalize_or_zero();
                 let into = v.dot(normal);
-                // A ball in contact with an obstacle may leave it.
+                // A ball in contact with an obstacle may move away from it.
                 if into < 0.0 {
                     v -= 2.0 * into * normal;
                     reflections += 1;
@@ -291,7 +292,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A map without obstacles but the marked cells.
+    /// A map with only the marked cells as obstacles.
     fn map(size: [usize; 2], marked: &[[usize; 2]]) -> Map {
         let mut occupied = vec![false; size[0] * size[1]];
         marked.iter().for_each(|[x, y]| occupied[y * size[0] + x] = true);
@@ -309,11 +310,11 @@ mod tests {
 
     #[test]
     fn a_wall_and_the_border_reflect() {
-        // A wall along y at x = 1.0: the ball comes at 45° and leaves at 45°.
+        // A wall along y at x = 1.0: the ball hits it at 45° and is reflected at 45°.
         let wall: Vec<[usize; 2]> = (0..300).map(|y| [100, y]).collect();
         let m = map([200, 300], &wall);
         let from = DVec2::new(0.4, 0.3);
-        // Its centre turns where the distance to the wall's cells is one radius.
+        // The centre is reflected where its distance to the wall's cells is one radius.
         let turn = 1.005 - 0.05;
         let goal = DVec2::new(turn - 0.3, 0.3 + (turn - 0.4) + 0.3);
         let near = m.nearest(from, DVec2::new(0.5, 0.5), 0.05, goal, 4.0);

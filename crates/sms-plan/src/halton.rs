@@ -28,7 +28,7 @@ impl Halton {
         self.shift
             .iter()
             .zip(PRIMES)
-            // Index 0 is the corner of all bases at once, so it is skipped.
+            // Index 0 gives 0 in all bases, so it is skipped.
             .map(|(shift, base)| (radical_inverse(index + 1, base) + shift).fract())
             .collect()
     }

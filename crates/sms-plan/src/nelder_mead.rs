@@ -23,9 +23,10 @@ pub struct NelderMead {
     pub adaptive: bool,
     /// Largest number of iterations over all restarts; the paper uses 30.
     pub max_iterations: usize,
-    /// The search stops when all points are this close to the best in every coordinate, and …
+    /// The search stops when all points are this close to the best in every coordinate, and their objectives are within
+    /// `f_tolerance`.
     pub x_tolerance: f64,
-    /// … their objectives are this close to the best one.
+    /// Largest difference from the best objective for the stopping test.
     pub f_tolerance: f64,
     /// Number of restarts from the best point, with a simplex of half the size that points the other way. A restart
     /// frees a simplex that has collapsed, for example onto a bound.
@@ -69,7 +70,7 @@ impl BoxBounds {
         }
     }
 
-    /// Reflects coordinates beyond an upper bound, so that a simplex at the bound keeps its volume.
+    /// Reflects coordinates beyond an upper bound back inside, so that a simplex at the bound keeps its volume.
     pub(crate) fn reflect(&self, x: &mut [f64]) {
         for (v, &high) in x.iter_mut().zip(&self.high) {
             if *v > high {

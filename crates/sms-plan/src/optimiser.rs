@@ -7,9 +7,8 @@ pub trait Optimiser: Sync {
     /// Name for the trial log ("nelder_mead").
     fn name(&self) -> &'static str;
 
-    /// Searches near `start` inside the unit box. `steps` are the distances of the first trials per coordinate. If
-    /// `start` holds more than one point, the first is the best known and the others may be used (a simplex of n + 1
-    /// points).
+    /// Searches near `start` inside the unit box. `steps` are the initial steps per coordinate. If `start` holds more
+    /// than one point, the first is the best known and the others may be used (a simplex of n + 1 points).
     ///
     /// `objective` returns `None` when the search has to stop (budget used up, interrupted). The result is then the
     /// best point so far.

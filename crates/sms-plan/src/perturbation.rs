@@ -17,20 +17,21 @@ const OBJECT_RATIO: f64 = 15.0;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Perturbation {
-    /// Number of perturbed worlds; all candidates meet the same ones. 0 plans for the nominal world alone.
+    /// Number of perturbed worlds; all candidates are tried in the same ones. With 0, the plan uses only the nominal
+    /// world.
     pub worlds: usize,
     /// Whether materials are sampled within their intervals.
     pub materials: bool,
     /// Horizontal position error of balls that is common to all bodies (scale, pose of the recording, pose of the
-    /// robot), metres. Twice the standard error of the fit ([`Body::fit_se_m`]) is added. 0 switches both off. Balls
-    /// in contact with other bodies stay in place.
+    /// robot), metres. Twice the standard error of the fit ([`Body::fit_se_m`]) is added. With 0, there is neither
+    /// error. Balls in contact with other bodies stay in place.
     pub position_m: f64,
-    /// Radius error of balls, metres, likewise. Five times the standard error of the radius is added. A resting ball
-    /// keeps its contact with the support.
+    /// Radius error of balls, metres. Five times the standard error of the radius is added; with 0, there is neither
+    /// error. A resting ball keeps its contact with the support.
     pub radius_m: f64,
-    /// Horizontal position error of other objects, metres, likewise. Fifteen times the standard error of the fit is
-    /// added, because the fit does not know the side that no camera saw. Objects in contact with each other stay in
-    /// place, since they would be pushed into one another.
+    /// Horizontal position error of other objects, metres. Fifteen times the standard error of the fit is added,
+    /// because the fit does not include the unseen side; with 0, there is neither error. Objects in contact with each
+    /// other stay in place, since they would overlap otherwise.
     pub object_m: f64,
     /// Yaw error of such objects, radians.
     pub object_rad: f64,
@@ -44,10 +45,10 @@ pub struct Perturbation {
 
 impl Default for Perturbation {
     fn default() -> Self {
-        // A scan places a ball within about a millimetre and finds its radius within a few tenths of one. It places
-        // other objects, of which it sees one side less, within two. The residuals of one entity do
-        // not show these errors, because they are common to all. A torque-controlled arm repeats a path within a few
-        // tenths of a millimetre: over the sweep of 0.1 m that is 2 mrad.
+        // A scan is accurate to about a millimetre for the position of a ball, a few tenths of a millimetre for its
+        // radius, and two millimetres for the position of other objects (one side is not seen). The residuals of one
+        // entity do not show these errors, because they are common to all. A torque-controlled arm repeats a path
+        // within a few tenths of a millimetre, or 2 mrad over the sweep of 0.1 m.
         Self {
             worlds: 16,
             materials: true,
@@ -123,7 +124,7 @@ impl Perturbation {
         self.scene_of(scene, seed, index, &|_| true)
     }
 
-    /// The `index`-th perturbed scene with only the unknowns that `which` picks. Each has the same value as in the
+    /// The `index`-th perturbed scene with only the unknowns selected by `which`. Each has the same value as in the
     /// fully perturbed scene.
     pub fn scene_of(
         &self,
@@ -170,15 +171,15 @@ impl Perturbation {
 
     /// Half width of the radius error of a ball, metres; 0 for other bodies.
     fn swell(&self, body: &Body) -> f64 {
-        // All points of the surface determine the radius, a third of them one coordinate of the centre.
+        // All points of the surface determine the radius, but only a third determine one coordinate of the centre.
         if !is_ball(body) {
             return 0.0;
         }
         with_residual(self.radius_m, RADIUS_RATIO * body.fit_se_m / 3f64.sqrt())
     }
 
-    /// Whether each body may move: dynamic bodies with a gap to all others above the sum of both errors. In the order
-    /// of the scene.
+    /// Returns whether each body may move: dynamic bodies with a gap to all others larger than the sum of both errors.
+    /// In the order of the scene.
     fn free(&self, scene: &Scene) -> Vec<bool> {
         let boxes: Vec<Option<Aabb>> = scene.bodies.iter().map(Body::aabb_w).collect();
         let reach: Vec<f64> = scene.bodies.iter().map(|b| self.shift(b) + self.swell(b)).collect();
@@ -190,7 +191,7 @@ impl Perturbation {
                 };
                 boxes.iter().enumerate().all(|(k, other)| {
                     let Some(other) = other.as_ref().filter(|_| k != i) else { return true };
-                    // A support does not hold a body in place.
+                    // A support does not keep a body in place.
                     let is_static = scene.bodies[k].kind == BodyKind::Static;
                     let carries = is_static && other.max.z < own.min.z + 0.005;
                     carries || gap(&scene.bodies[i], own, &scene.bodies[k], other) > reach[i] + reach[k]
@@ -215,13 +216,13 @@ fn is_ball(body: &Body) -> bool {
     body.kind == BodyKind::Dynamic && matches!(body.shape, BodyShape::Sphere { .. })
 }
 
-/// Sum of the common error and the error from a body's own residuals; 0 if `common` is switched off.
+/// Returns the sum of the common error and the error from a body's own residuals; 0 if `common` is 0.
 fn with_residual(common: f64, shown: f64) -> f64 {
     if common > 0.0 { common + shown } else { 0.0 }
 }
 
-/// A lower bound of the distance between two bodies, metres: exact between balls, otherwise along the axis that
-/// separates their boxes most. Negative if the boxes overlap.
+/// Returns a lower bound of the distance between two bodies, metres: exact between balls, otherwise along the axis of
+/// largest separation of their boxes. Negative if the boxes overlap.
 fn gap(a: &Body, of_a: &Aabb, b: &Body, of_b: &Aabb) -> f64 {
     match (&a.shape, &b.shape) {
         (BodyShape::Sphere { radius: r }, BodyShape::Sphere { radius: s }) => {
@@ -237,7 +238,7 @@ fn has_intervals(material: &Material) -> bool {
         .any(|p| p.value.low < p.value.high)
 }
 
-/// Scales the mass; the inertia scales with the square of `length` in addition.
+/// Scales the mass; the inertia is additionally scaled with the square of `length`.
 fn scale_mass(body: &mut Body, mass: f64, length: f64) {
     if let Some(was) = body.mass.filter(|_| mass.is_finite() && mass > 0.0) {
         // A positive multiple of a valid inertia is valid.
@@ -261,7 +262,7 @@ fn perturb_radius(body: &mut Body, change_m: f64) {
 fn sample_material(material: &mut Material, rng: &mut impl Rng) {
     let mut sample = |p: &mut Property, by_factors: bool| {
         let (t, v) = (symmetric(rng), p.value);
-        // In log space: for a quantity known within a factor, half and twice the value are equally likely.
+        // In log space, half and twice the value are equally likely for a quantity known within a factor.
         let end = if t < 0.0 { v.low } else { v.high };
         let is_positive = v.best > 0.0 && end > 0.0;
         p.value.best =
@@ -421,7 +422,7 @@ mod tests {
             x_wb: DPose3::from_translation(DVec3::new(x, 0.1, 0.03)),
             ..scene.bodies[1].clone()
         };
-        // 0.1 mm and 10 mm from the next.
+        // Gaps of 0.1 mm and 10 mm.
         let others = [ball("touching", 0.3601), ball("apart", 0.4301)];
         scene.bodies.extend(others);
         let perturbation = Perturbation::default();
@@ -456,7 +457,7 @@ mod tests {
             let BodyShape::Sphere { radius } = ball.shape else { panic!("still a ball") };
             let off = ball.x_wb.translation - scene.bodies[1].x_wb.translation;
             most = (most.0.max(off.x.abs()), most.1.max((radius - 0.03).abs()));
-            // A millimetre and twice 3 mm; 0.3 mm and five times 3/√3 mm.
+            // A millimetre plus twice 3 mm; 0.3 mm plus five times 3/√3 mm.
             assert!(off.x.abs() <= 0.007 && (radius - 0.03).abs() <= 0.0003 + 0.015 / 3f64.sqrt());
         }
         assert!(most.0 > 0.0065 && most.1 > 0.008, "{most:?}");

@@ -12,19 +12,19 @@ pub struct StartSummary {
     pub start: usize,
     /// The initial action.
     pub initial: Action,
-    /// Its objective; infinite (`null` in JSON) if the rollout was invalid.
+    /// Objective of the initial action; infinite (`null` in JSON) if the rollout was invalid.
     #[serde(deserialize_with = "infinite_if_null")]
     pub initial_objective: f64,
     /// The best action.
     pub action: Action,
-    /// Its objective.
+    /// Objective of the best action.
     #[serde(deserialize_with = "infinite_if_null")]
     pub objective: f64,
     /// Rollouts used.
     pub evaluations: usize,
     /// Nelder-Mead iterations used.
     pub iterations: usize,
-    /// Infeasible strikes that it proposed. They cost nothing, and other strikes were tried instead.
+    /// Number of infeasible strikes that the search proposed. They cost nothing, and other strikes were tried instead.
     #[serde(default)]
     pub refused: usize,
     /// 90 % quantile of the objective over perturbed worlds, if it was computed.
@@ -32,7 +32,7 @@ pub struct StartSummary {
 }
 
 impl StartSummary {
-    /// Whether no feasible strike was found to start this search from.
+    /// Returns whether no feasible strike was found as a start of this search.
     pub fn is_out_of_reach(&self) -> bool {
         self.refused > 0 && self.evaluations == 0 && !self.objective.is_finite()
     }
@@ -79,10 +79,9 @@ pub struct Plan {
     pub objective_unit: String,
     /// 90 % quantile over perturbed worlds; the nominal objective without them.
     pub objective_q90: f64,
-    /// Simulated shots in all worlds: the trials of the log and one for the recorded motion. Infeasible points of a
-    /// scan or a search are not included.
+    /// Simulated shots in all worlds: the trials of the log and one for the recorded motion, without infeasible points.
     pub evaluations: usize,
-    /// Invalid rollouts among them. They never count as best.
+    /// Number of invalid rollouts. They never count as best.
     #[serde(default)]
     pub invalid: usize,
     /// Reasons of the invalid rollouts, the most frequent first.
@@ -92,7 +91,7 @@ pub struct Plan {
     /// robot cannot carry out.
     #[serde(default)]
     pub searched: usize,
-    /// The infeasible ones among them by reason, the most frequent first. They were not simulated.
+    /// Infeasible actions among `searched` by reason, the most frequent first. They were not simulated.
     #[serde(default)]
     pub refused: Vec<Refusal>,
     /// Name of the striker.
@@ -106,7 +105,7 @@ pub struct Plan {
     /// Statistic that was minimised over perturbed worlds; `None` for a plan of the nominal world alone.
     #[serde(default)]
     pub chosen_by: Option<RobustObjective>,
-    /// Forecast of the action in perturbed worlds that played no part in the choice.
+    /// Forecast of the action in perturbed worlds that were not used for the choice.
     #[serde(default)]
     pub predicted: Option<Prediction>,
     /// Strategies, best first. The action of the first one is the plan's.
@@ -115,8 +114,7 @@ pub struct Plan {
     /// Reasons for the choice, most important first.
     #[serde(default)]
     pub reasons: Vec<Reason>,
-    /// Sensitivities of the chosen action, most important first. Each unknown is perturbed alone, without
-    /// interactions.
+    /// Sensitivities of the chosen action, most important first. Each unknown is perturbed alone, without interactions.
     #[serde(default)]
     pub sensitivities: Vec<Sensitivity>,
     /// Predicted motion of the chosen action.
@@ -167,9 +165,9 @@ impl Plan {
         })
     }
 
-    /// Whether the plan was made in the nominal world alone.
+    /// Returns whether the plan was made only in the nominal world.
     pub fn is_nominal_only(&self) -> bool {
-        // Plans of earlier versions have neither, but a quantile over perturbed worlds.
+        // Plans of earlier versions lack both fields, but have a quantile over perturbed worlds.
         self.predicted.is_none() && self.strategies.first().is_some_and(|s| s.outcomes.is_empty())
     }
 }

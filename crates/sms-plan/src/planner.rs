@@ -33,14 +33,14 @@ const RECORD_EVERY_S: f64 = 1.0 / 120.0;
 /// Plans an action for a task.
 ///
 /// The planner searches the actions in the nominal world. It then chooses by the outcomes in perturbed worlds:
-/// materials sampled within their intervals, small errors of object poses, radii and the strike. All candidates meet
-/// the same worlds.
+/// materials sampled within their intervals, small errors of object poses, radii and the strike. All candidates are
+/// tried in the same worlds.
 ///
 /// Candidates are distinct actions that improve on doing nothing, from the nominal search and from a scan of the
 /// perturbed worlds. They are tried in a few worlds, simplex searches start from the best of them, and the better half
 /// is tried in twice as many worlds until half of the worlds are used. The best few are then tried in the other half,
-/// and the smallest [`PlanConfig::objective`] over all worlds wins. Its prediction comes from worlds that played no
-/// part in the choice.
+/// and the smallest [`PlanConfig::objective`] over all worlds wins. Its prediction comes from worlds that were not used
+/// for the choice.
 ///
 /// The plan is the same for any number of threads of rayon's current pool. The planner uses only `scene`, never the
 /// truth.
@@ -86,7 +86,7 @@ pub fn plan(
     let (mut sensitivities, mut reasons) = (Vec::new(), Vec::new());
     let strategies = strategies(&chosen, &predictions, &forecast);
     if let Some(rollout) = rollout.as_ref().filter(|_| config.sensitivity_rollouts > 0) {
-        // Sensitivities explain the spread of a forecast.
+        // Sensitivities explain the spread of a forecast, so they need one.
         if predicted.is_some() {
             sensitivities = planning.sensitivities(winner, rollout, &forecast[0])?;
         }
@@ -120,7 +120,7 @@ pub fn plan(
     Ok(PlanOutcome { plan, trials: planning.found.trials })
 }
 
-/// Names the settings in errors about settings that the caller made.
+/// Source of settings made by the caller, for error messages.
 const SETTINGS: &str = "(settings of the planner)";
 
 /// A planning run after its nominal search.
@@ -131,17 +131,17 @@ struct Planning<'a> {
     known: BTreeMap<Vec<u64>, String>,
     /// Rollouts of the search.
     evaluations: usize,
-    /// Refused strikes in the place of a rollout during the search.
+    /// Strikes refused in place of a rollout during the search.
     struck: Reasons,
 }
 
-/// Actions that the search and the scan considered.
+/// Number of actions considered by the search and the scan.
 struct SearchCounts {
     searched: usize,
     refused: Vec<Refusal>,
 }
 
-/// The outcome of a shot in a forecast world. A simulated one has the strategy that it followed and the bodies it
+/// The outcome of a shot in a forecast world. A simulated shot has the strategy that it followed and the bodies that it
 /// touched.
 type ForecastOutcome = (RolloutOutcome, Option<(String, BTreeSet<BodyId>)>);
 
@@ -175,7 +175,7 @@ impl<'a> Planning<'a> {
             if round > 0 {
                 counter.begin("plan: search from other points", config.budget());
             }
-            // The names of seeds are part of the result, so they keep their first wording.
+            // Seeds derive from these names, which therefore stay unchanged.
             let seed = match round {
                 0 => session.seed.derive("search"),
                 _ => session.seed.derive_index("search anew", round as u64),
@@ -224,8 +224,8 @@ impl<'a> Planning<'a> {
         Ok(chosen)
     }
 
-    /// Tries the chosen actions in worlds that played no part in the choice: in the worlds of the choice, the winner
-    /// looks better than it is.
+    /// Tries the chosen actions in worlds that were not used for the choice: the winner's outcomes in the worlds of the
+    /// choice are biased.
     fn forecast(&mut self, chosen: &[RobustCandidate]) -> Result<Vec<Vec<ForecastOutcome>>, PlanError> {
         let session = self.session;
         let first = 2 * session.config.perturbation.worlds;
@@ -258,8 +258,8 @@ impl<'a> Planning<'a> {
         SearchCounts { searched: self.evaluations + scanned + total(&refused) - struck, refused }
     }
 
-    /// Records the motion of an action in the nominal world. `None` where the rollout is not valid to its end, which
-    /// may come after the moment that decides the objective.
+    /// Records the motion of an action in the nominal world. Returns `None` if the rollout is not valid to its end,
+    /// which may be later than the moment that decides the objective.
     fn record(&self, action: &Action) -> Result<Option<Rollout>, PlanError> {
         let recording = MotionRecording { every_s: RECORD_EVERY_S };
         match self.session.nominal.rollout(&self.session.task.strike(action), Some(recording)) {
@@ -355,10 +355,10 @@ pub fn search_nominal(
     Ok(NominalSearch { trials: found.trials, starts: found.starts })
 }
 
-/// Constructs an optimiser of the box of actions. The points that it may try first are those that are feasible.
+/// Constructs an optimiser for the box of actions. It may first try points that are feasible.
 pub type MakeOptimiser<'a> = &'a dyn Fn(&Space, Feasible<'_>) -> Result<Box<dyn BatchOptimiser>, PlanError>;
 
-/// [`search_nominal`] by another optimiser than the planner's.
+/// Like [`search_nominal`], with a given optimiser.
 ///
 /// # Errors
 /// As [`search_nominal`].

@@ -33,7 +33,7 @@ impl RobustObjective {
         }
     }
 
-    /// The rank of outcomes: fewer invalid rollouts first, then the statistic. No number of good outcomes makes up
+    /// Returns the rank of outcomes: fewer invalid rollouts first, then the statistic. Good outcomes never compensate
     /// for an invalid rollout.
     pub(crate) fn rank(self, values: &[f64]) -> (usize, f64) {
         (values.iter().filter(|v| !v.is_finite()).count(), self.of(values))
@@ -60,9 +60,9 @@ pub struct Prediction {
     pub success_share: f64,
     /// Number of worlds, including those with invalid rollouts or refused strikes.
     pub worlds: usize,
-    /// Number of invalid rollouts. Of the figures above only `success_share` includes them.
+    /// Number of invalid rollouts. Of the values above, only `success_share` includes them.
     pub invalid: usize,
-    /// Number of worlds in which the robot cannot carry out the perturbed strike; treated likewise.
+    /// Number of worlds in which the robot cannot carry out the perturbed strike, treated like invalid rollouts.
     #[serde(default)]
     pub refused: usize,
 }

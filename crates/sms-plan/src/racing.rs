@@ -13,11 +13,11 @@ const BLOCK: usize = 4;
 pub(crate) type TryIn<'a> =
     &'a mut dyn FnMut(&mut [RobustCandidate], &[usize], Range<usize>) -> Result<(), PlanError>;
 
-/// Tries ranked candidates, whose outcomes cover the worlds before `range`, in the worlds of `range`.
+/// Tries ranked candidates in the worlds of `range`. Their outcomes must cover the earlier worlds.
 ///
-/// The best candidate of each strategy is tried in all worlds. The others are tried block by block while they may
-/// still overtake it. Returns the candidates that were tried in all worlds, in rank order. The result always contains
-/// the best of each strategy over all worlds.
+/// The best candidate of each strategy is tried in all worlds. The others are tried block by block while they may still
+/// become better than this one. Returns the candidates that were tried in all worlds, in rank order. The result always
+/// contains the best of each strategy over all worlds.
 pub(crate) fn race(
     all: &mut [RobustCandidate],
     ranked: &[usize],
@@ -61,7 +61,7 @@ mod tests {
     const FROM: usize = 6;
     const TOTAL: usize = 16;
 
-    /// The best of each strategy in rank order, as the choice picks them.
+    /// Returns the best of each strategy in rank order, as the choice selects them.
     fn best(all: &[RobustCandidate], who: &[usize], config: &PlanConfig) -> Vec<usize> {
         let mut order = who.to_vec();
         order.sort_by(|&a, &b| {
@@ -78,7 +78,7 @@ mod tests {
     }
 
     proptest! {
-        /// For any outcomes, racing and trying everything agree on the best of each strategy.
+        /// For any outcomes, racing and complete evaluation agree on the best of each strategy.
         #[test]
         fn racing_and_trying_everything_choose_the_same(
             outcomes in prop::collection::vec((0..6usize, prop::collection::vec(0.0..1.0f64, TOTAL)), 1..14),

@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 pub struct Counterfactual {
     /// The strategy.
     pub strategy: String,
-    /// The body that it relies on.
+    /// The body that the strategy relies on.
     pub body: String,
-    /// Its property.
+    /// The property that differs.
     pub property: BodyProperty,
     /// The value in the scanned world and the value in the other one.
     pub values: [f64; 2],
@@ -19,7 +19,7 @@ pub struct Counterfactual {
     /// Displacement of the body in both worlds, metres.
     pub moved_m: [f64; 2],
     /// Number of shots of the strategy that were tried in the other world: 1 for the chosen shot, which is repeated
-    /// as it is.
+    /// unchanged.
     pub shots: usize,
 }
 

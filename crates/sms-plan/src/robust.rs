@@ -23,19 +23,19 @@ pub(crate) struct RobustChoice<'a> {
 }
 
 impl RobustChoice<'_> {
-    /// Returns the best action of each strategy whose whole motion the robot can carry out, best strategy first;
-    /// empty if there is none.
+    /// Returns the best action of each strategy whose whole motion the robot can carry out, best strategy first; empty
+    /// if there is none.
     ///
     /// With perturbed worlds the choice has four steps.
     ///
     /// 1. Candidates are the nominally best actions and the best of a scan. Each point of the scan is tried in one
-    ///    perturbed world, so that actions which only work in the scanned world do not enter through it.
+    ///    perturbed world, so that it does not select actions that work only in the scanned world.
     /// 2. The candidates are tried in a few worlds. Simplex searches over these worlds start from the best distinct
     ///    ones; their number halves after each round.
-    /// 3. The best are tried in more worlds, the better half in twice as many, and so on through the first half of
-    ///    the worlds. Simplex searches over that half start from the best of these.
-    /// 4. The survivors are biased towards these worlds, those of the searches most of all. The best few and the best
-    ///    of each strategy race through the second half, and both halves decide.
+    /// 3. The best are tried in more worlds, the better half in twice as many, and so on through the first half of the
+    ///    worlds. Simplex searches over that half start from the best of these.
+    /// 4. The outcomes of the survivors in these worlds are biased, most of all for points of the searches. The best
+    ///    few and the best of each strategy race through the second half, and both halves decide.
     pub(crate) fn choose(
         &self,
         found: &mut SearchLog,
@@ -105,7 +105,7 @@ impl RobustChoice<'_> {
         Ok(best)
     }
 
-    /// The candidates whose whole motion, from home to strike, passes every check of the robot.
+    /// Returns the candidates with a motion, from home to strike, that passes every check of the robot.
     fn executable(&self, all: &[RobustCandidate], who: &[usize]) -> Result<Vec<usize>, PlanError> {
         let can: Vec<bool> =
             who.par_iter().map(|&i| self.session.is_executable(&all[i].action)).collect::<Result<_, _>>()?;
@@ -141,8 +141,8 @@ impl RobustChoice<'_> {
         RobustCandidate { x, action, objective, strategy, outcomes: Vec::new() }
     }
 
-    /// Tries candidates without a nominal rollout in the nominal world and names their strategies. Drops those that
-    /// are invalid there: an action that is invalid in the scanned world cannot be the plan.
+    /// Tries candidates without a nominal rollout in the nominal world and names their strategies. Drops candidates
+    /// that are invalid in the scanned world, because they cannot be the plan.
     fn with_nominal(
         &self,
         all: &mut [RobustCandidate],
@@ -211,8 +211,8 @@ impl RobustChoice<'_> {
         order
     }
 
-    /// The first `count` of ranked candidates, the best of each of the first few strategies, and the nominally best
-    /// of all (candidate 0). The choice is therefore never worse than candidate 0 over all worlds.
+    /// Returns the first `count` of ranked candidates, the best of each of the first few strategies, and the nominally
+    /// best of all (candidate 0). So the choice is never worse than candidate 0 over all worlds.
     fn best_with_strategies(&self, all: &[RobustCandidate], ranked: &[usize], count: usize) -> Vec<usize> {
         let mut strategies: Vec<&str> = Vec::new();
         ranked
@@ -321,7 +321,7 @@ mod tests {
         assert!(here.rank(&config(0), 0) > there.rank(&config(0), 0));
         assert!(here.rank(&config(1), 0) < there.rank(&config(1), 0));
         assert_eq!(there.rank(&config(2), 0), (0, 0.375));
-        // Worlds to come count as 0, the best possible objective.
+        // Untried worlds count as 0, the best possible objective.
         assert_eq!(there.rank(&config(2), 4), (0, 0.1875));
         // A point of a simplex search has no nominal objective before it is tried in the scanned world.
         let unknown = with(f64::INFINITY, &[0.125, 0.375]);

@@ -1,4 +1,4 @@
-//! Scan of and simplex searches over perturbed worlds.
+//! Scan of the perturbed worlds, and simplex searches over them.
 
 use crate::candidate::RobustCandidate;
 use crate::robust::RobustChoice;
@@ -17,14 +17,14 @@ pub(crate) struct Searches {
     pub(crate) survivors: usize,
     /// Points per search and round; the worse half of the searches ends after a round.
     pub(crate) points: usize,
-    /// Number of worlds over which they search.
+    /// Number of worlds in the objective.
     pub(crate) worlds: usize,
 }
 
 impl RobustChoice<'_> {
     /// Tries feasible points spread over all actions, each in one of the perturbed worlds in turn. Returns the best
-    /// distinct ones, half the number of candidates. Their outcomes in that world are discarded, since they were
-    /// selected by them.
+    /// distinct ones, half the number of candidates. Their outcomes are discarded, since they are biased by the
+    /// selection.
     pub(crate) fn scan(
         &self,
         worlds: &PerturbedWorlds<'_>,
@@ -120,7 +120,8 @@ impl RobustChoice<'_> {
         Ok((first..all.len()).collect())
     }
 
-    /// The first `count` ranked candidates that differ by more than a small step, and the nominally best of all.
+    /// Returns the first `count` ranked candidates that differ by more than a small step, and the nominally best of
+    /// all.
     pub(crate) fn apart(&self, all: &[RobustCandidate], ranked: &[usize], count: usize) -> Vec<usize> {
         let mut chosen: Vec<usize> = Vec::new();
         for &i in ranked {

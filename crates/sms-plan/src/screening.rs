@@ -16,14 +16,14 @@ pub type Feasible<'a> = &'a (dyn Fn(&[f64]) -> Result<bool, PlanError> + Sync);
 pub struct Screened {
     /// The unit point.
     pub x: Vec<f64>,
-    /// Whether a search from here should take the smaller steps of the promising ranges.
+    /// Whether a search from this point should use the smaller steps of the promising ranges.
     pub promising: bool,
     /// Objective; infinite until it is evaluated.
     pub objective: f64,
 }
 
-/// Returns `budget` feasible points: the suggestions of the task, then Halton points. Every other Halton point lies
-/// in the promising ranges, if there are any. Stops after eight draws per point, so that fewer may be returned. The
+/// Returns `budget` feasible points: the suggestions of the task, then Halton points. Every other Halton point lies in
+/// the promising ranges, if there are any. Stops after eight draws per point, so the result may have fewer points. The
 /// result does not depend on the number of threads.
 ///
 /// # Errors
@@ -44,7 +44,8 @@ pub fn points(
         .filter(|_| suggestions)
         .map(|x| unknown(x.clone(), true))
         .chain((0..).map(|i: u64| {
-            // Each sequence advances by one. Every other index alone would cover half of the first parameter's range.
+            // Each sequence has its own index, which advances by one. Every other index alone would cover only half of
+            // the first parameter's range.
             if !space.has_promising() {
                 unknown(everywhere.point(i), false)
             } else if i.is_multiple_of(2) {

@@ -32,8 +32,7 @@ impl SearchLog {
         self.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min)
     }
 
-    /// Appends the results of another search. Its starts and screened points get the numbers after those already
-    /// here.
+    /// Appends the results of another search. Its starts and screened points are renumbered to follow the present ones.
     pub(crate) fn append(&mut self, other: Self) {
         let before = self.starts.len();
         let screened = self.trials.iter().filter(|t| t.phase == TrialPhase::Screen).count();
@@ -47,8 +46,8 @@ impl SearchLog {
     }
 }
 
-/// Creates the optimiser that the settings name. Screened points and random simplexes contain only strikes that the
-/// robot can carry out.
+/// Creates the configured optimiser. Screened points and random simplexes contain only strikes that the robot can carry
+/// out.
 fn optimiser(
     space: &Space,
     config: &PlanConfig,
@@ -73,8 +72,8 @@ fn optimiser(
     })
 }
 
-/// Searches with at most `budget` evaluations. Infeasible strikes cost none: screening and populations draw others
-/// instead, and a simplex retreats towards its best point.
+/// Searches with at most `budget` evaluations. Infeasible strikes do not count: screening and populations draw other
+/// strikes, and a simplex retreats towards its best point.
 pub(crate) fn search(
     space: &Space,
     config: &PlanConfig,
@@ -136,7 +135,7 @@ mod tests {
     use sms_task::Parameter;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    /// A narrow valley of good directions inside a wide box, like direct shots among all angles.
+    /// A narrow valley of good directions in a wide box, like direct shots among all angles.
     fn valley(x: &[f64]) -> Result<f64, PlanError> {
         let angle = 120.0 * (x[1] - 0.47);
         let spin = 0.3 * (x[2] - 0.5);
@@ -172,7 +171,7 @@ mod tests {
         }
     }
 
-    /// Infeasible in three quarters of the box, on both sides of an oblique strip about the valley.
+    /// Infeasible in three quarters of the box, on both sides of an oblique strip around the valley.
     fn strip(x: &[f64]) -> bool {
         (x[1] - 0.47 - 0.1 * (x[3] - 0.5)).abs() < 0.125
     }
@@ -199,7 +198,7 @@ mod tests {
 
     #[test]
     fn searches_continue_after_refusals() {
-        // The minimum lies on the border of the feasible region, so that searches meet it all the time.
+        // The minimum lies on the border of the feasible region, so that searches often reach this border.
         let can = |x: &[f64]| Ok(x[0] + x[1] > 1.1);
         let value = |x: &[f64]| Ok((x[0] - 0.2).hypot(x[1] - 0.8) + 0.1 * (x[2] - 0.3).hypot(x[3] - 0.6));
         for method in Method::ALL {

@@ -10,7 +10,7 @@ pub struct Sensitivity {
     pub unknown: Unknown,
     /// Root mean square change of the objective when only this unknown is perturbed, in the task's unit.
     pub change: f64,
-    /// Its share of the sum of the mean squares over all unknowns.
+    /// Share of this unknown in the sum of the mean squares over all unknowns.
     pub share: f64,
     /// For an important material, the property with the largest effect when perturbed alone.
     #[serde(default)]

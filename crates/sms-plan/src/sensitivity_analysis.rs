@@ -15,8 +15,8 @@ use std::collections::BTreeSet;
 const MOST_WORLDS: usize = 16;
 /// Smallest number of worlds per unknown that gives an estimate.
 const LEAST_WORLDS: usize = 4;
-/// Separation of material properties: largest number of materials, smallest share of a material, and largest number
-/// of worlds.
+/// Limits for separating material properties: largest number of materials, smallest share of a material, and largest
+/// number of worlds.
 const MOST_REFINED: usize = 2;
 const REFINED_SHARE: f64 = 0.1;
 const REFINED_WORLDS: usize = 8;
@@ -25,14 +25,13 @@ const REFINED_WORLDS: usize = 8;
 pub(crate) struct SensitivityAnalysis<'a> {
     pub(crate) session: &'a Session<'a>,
     pub(crate) winner: &'a RobustCandidate,
-    /// Bodies that the shot touches, in the scanned world or in a world of the forecast.
+    /// Bodies that the shot touches in the scanned world or in a forecast world.
     pub(crate) touched: &'a BTreeSet<BodyId>,
 }
 
 impl SensitivityAnalysis<'_> {
     /// Perturbs one unknown at a time and measures the change of the objective (one-at-a-time analysis, without
-    /// interactions). Unknowns of bodies that the shot touches in none of the worlds are skipped. Returns the most
-    /// important first.
+    /// interactions). Skips unknowns of bodies that the shot never touches. Returns the most important first.
     pub(crate) fn sense(
         &self,
         nominal: &Rollout,
@@ -130,7 +129,7 @@ impl SensitivityAnalysis<'_> {
         Ok(most.map(|m| m.1))
     }
 
-    /// Whether a body takes part in the shot: the struck and the target body, static bodies, and bodies with
+    /// Returns whether a body takes part in the shot: the struck and the target body, static bodies, and bodies with
     /// contacts.
     fn is_involved(&self, name: &str) -> bool {
         let Some(index) = self.session.scene.body_index(name) else { return false };

@@ -14,7 +14,7 @@ use std::ops::Range;
 /// One planning run: its input, the scanned world and the counter of rollouts.
 pub(crate) struct Session<'a> {
     pub(crate) task: &'a ResolvedTask,
-    /// The scene that the scan made.
+    /// The scanned scene.
     pub(crate) scene: &'a Scene,
     pub(crate) factory: &'a dyn WorldFactory,
     pub(crate) config: &'a PlanConfig,
@@ -31,7 +31,8 @@ impl<'a> Session<'a> {
         self.counter.draw(self.task, &self.space.action(x))
     }
 
-    /// The next point of a local search whose strike the robot can carry out; `None` when the search has ended.
+    /// Returns the next point of a local search with a strike that the robot can carry out; `None` when the search has
+    /// ended.
     pub(crate) fn next_feasible(&self, search: &mut LocalSearch) -> Result<Option<Vec<f64>>, PlanError> {
         while let Some(x) = search.next_point().map(<[f64]>::to_vec) {
             if self.is_feasible(&x)? {
@@ -52,7 +53,7 @@ impl<'a> Session<'a> {
         strategy_of(rollout, self.scene, self.task)
     }
 
-    /// The worlds of a family that differ from the scene in every unknown, by their indices.
+    /// Returns the worlds of a family with all unknowns perturbed, by their indices.
     pub(crate) fn perturbed_worlds(
         &self,
         seed: Seed,
@@ -61,7 +62,7 @@ impl<'a> Session<'a> {
         self.partly_perturbed_worlds(seed, indices, &|_| true)
     }
 
-    /// The same with only the unknowns that `which` picks.
+    /// Returns the worlds of a family with only the unknowns selected by `which` perturbed.
     pub(crate) fn partly_perturbed_worlds(
         &self,
         seed: Seed,

@@ -106,7 +106,7 @@ impl SimplexSearch {
         let x = std::mem::take(&mut self.asked);
         match std::mem::replace(&mut self.step, SimplexStep::Done) {
             SimplexStep::First(k) => {
-                // The point may have been moved since the simplex was created.
+                // The point may have been moved since the creation of the simplex.
                 self.vertices[k] = Vertex { x, f };
                 if k < n {
                     self.asked = self.vertices[k + 1].x.clone();
@@ -229,7 +229,7 @@ impl SimplexSearch {
         self.step = SimplexStep::Shrink(k);
     }
 
-    /// The point a·centroid + b·worst; the centroid is that of all vertices but the worst.
+    /// Returns the point a·centroid + b·worst, with the centroid of all vertices except the worst.
     fn along(&self, a: f64, b: f64) -> Vec<f64> {
         let n = self.vertices.len() - 1;
         let mut centroid = vec![0.0; n];
@@ -257,8 +257,8 @@ impl SimplexSearch {
     }
 }
 
-/// Retreats of an infeasible point: its new distance from the best point as a share of the old one. In a first
-/// simplex the opposite side of the best point is equally good.
+/// Retreats of an infeasible point: its new distance from the best point as a share of the old one. In an initial
+/// simplex, the opposite side of the best point is equally good.
 const RETREATS: [f64; 3] = [0.5, 0.25, 0.125];
 const FIRST_RETREATS: [f64; 5] = [-1.0, 0.5, -0.5, 0.25, -0.25];
 
@@ -278,16 +278,16 @@ pub struct LocalSearch {
     finished: Minimum,
     /// The first point, if its value was known before the search.
     known: Option<(Vec<f64>, f64)>,
-    /// The original request while the current one is a retreat from it, and the number of retreats.
+    /// The original request if the current point is a retreat from it, and the number of retreats.
     retreat: Option<(Vec<f64>, usize)>,
-    /// Refused points in all, and since the last value.
+    /// Number of refused points in total, and since the last value.
     refused: usize,
     refused_in_a_row: usize,
 }
 
 impl LocalSearch {
-    /// Starts at a point, or at a simplex of n + 1 points. `steps` are the distances of the first trials per
-    /// coordinate. If the value of the first point is known, it is not requested.
+    /// Starts at a point, or at a simplex of n + 1 points. `steps` are the initial steps per coordinate. If the value
+    /// of the first point is known, it is not requested.
     pub fn new(settings: &NelderMead, start: &[Vec<f64>], steps: &[f64], known: Option<f64>) -> Self {
         let bounds = BoxBounds::unit(steps.len());
         let simplex = if start.len() == steps.len() + 1 {
@@ -327,9 +327,9 @@ impl LocalSearch {
 
     /// Reports that [`LocalSearch::next_point`] is infeasible. This is not an evaluation.
     ///
-    /// The search requests a point nearer to its best one instead, up to three times. The complex method (Box 1965)
-    /// moves points across a constraint towards the centroid of the others in the same way; here the centroid may be
-    /// infeasible, while the best point is not. After that the point counts as infinitely bad and the simplex
+    /// The search then requests a point closer to its best one, up to three times. This resembles the complex method
+    /// (Box 1965), which moves infeasible points towards the centroid of the others; here the centroid may be
+    /// infeasible, but the best point is not. After three retreats the point counts as infinitely bad, and the simplex
     /// contracts. After 64 refusals in a row the search ends.
     pub fn refuse(&mut self) {
         self.refused += 1;

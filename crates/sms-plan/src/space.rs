@@ -7,7 +7,7 @@ use sms_task::{Action, Parameter, ResolvedTask};
 pub struct Space {
     parameters: Vec<Parameter>,
     /// Ranges that receive as many screening points as the whole box, in unit coordinates; the whole box if the task
-    /// names none.
+    /// has none.
     pub(crate) promising: Vec<[f64; 2]>,
     /// Unit points to try first.
     pub(crate) suggestions: Vec<Vec<f64>>,

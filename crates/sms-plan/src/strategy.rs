@@ -7,7 +7,7 @@ use sms_sim::{BodyId, ContactEvent};
 use sms_task::{Action, ResolvedTask, Rollout};
 use std::collections::BTreeSet;
 
-/// Length of a chain of pushed bodies that a name shows.
+/// Largest number of pushed bodies in the name of a chain.
 const DEEPEST_CHAIN: usize = 3;
 
 /// A strategy with its best action.
@@ -56,7 +56,7 @@ impl Strategy {
 pub(crate) struct Story {
     /// Name of the strategy.
     pub(crate) name: String,
-    /// Bodies other than the struck and the target body that these two touch, in order, including those that pass on
+    /// Bodies touched by the struck and the target body, in order, without these two, but including those that pass on
     /// the motion in a chain.
     pub(crate) involved: Vec<BodyId>,
 }
@@ -81,7 +81,7 @@ pub(crate) fn story_of(contacts: &[ContactEvent], until_s: f64, scene: &Scene, t
             .iter()
             .filter(|c| c.time_s <= until_s)
             .map(|c| (c.body, c.other))
-            // Floors carry bodies; rebounds are off other bodies.
+            // Contacts with floors do not count as rebounds.
             .filter(|&(a, b)| is_prop(a, scene) && is_prop(b, scene))
             .collect(),
         scene,
@@ -112,14 +112,14 @@ impl StoryBuilder<'_> {
         bodies.iter().map(|&b| self.quoted_name(b)).collect::<Vec<_>>().join(", ")
     }
 
-    /// The bodies that a body touches, in order, within a range of the contacts.
+    /// Returns the bodies that a body touches, in order, within a range of the contacts.
     fn touched_by(&self, body: BodyId, range: std::ops::Range<usize>) -> Vec<BodyId> {
         let other = |&(a, b): &(BodyId, BodyId)| (a == body).then_some(b).or((b == body).then_some(a));
         self.touches[range].iter().filter_map(other).collect()
     }
 
-    /// The chain of contacts that carries the motion from the struck body to `to`, without the struck body itself,
-    /// and the index of its last contact. `None` if there is none.
+    /// Returns the chain of contacts that transfers the motion from the struck body to `to`, without the struck body
+    /// itself, and the index of its last contact. `None` if there is none.
     fn chain(&self, to: BodyId) -> Option<(Vec<BodyId>, usize)> {
         let mut set_off_by: Vec<(BodyId, BodyId)> = vec![(self.cue, self.cue)];
         for (at, &(a, b)) in self.touches.iter().enumerate() {
@@ -146,7 +146,7 @@ impl StoryBuilder<'_> {
         None
     }
 
-    /// Names the strategy of a struck ball by its rebounds and those of the target ball.
+    /// Names the strategy of a struck ball by the rebounds of this ball and of the target ball.
     fn rebounds(&self) -> Story {
         let all = 0..self.touches.len();
         if self.cue == self.target {
@@ -168,7 +168,7 @@ impl StoryBuilder<'_> {
             return Story { name, involved: by_cue };
         };
         let between = &chain[..chain.len() - 1];
-        // Contacts of the cue ball count until it passes its motion on.
+        // Contacts of the cue ball count until it transfers its motion.
         let first = between.first().copied().unwrap_or(self.target);
         let handed = self
             .touches
@@ -195,7 +195,7 @@ impl StoryBuilder<'_> {
         Story { name, involved }
     }
 
-    /// Names the strategy of any other struck body by the bodies that it pushes in turn.
+    /// Names the strategy of any other struck body by the chain of bodies that it pushes.
     fn pushes(&self) -> Story {
         let mut listed = vec![self.cue];
         let name = format!("pushes {}", self.pushed(self.cue, &mut listed, DEEPEST_CHAIN));

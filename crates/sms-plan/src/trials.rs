@@ -21,7 +21,7 @@ pub enum TrialPhase {
     Forecast,
     /// The chosen action with one unknown perturbed.
     Sensitivity,
-    /// A shot in a world where one property of one body differs, to explain the choice.
+    /// A shot in a world with a different property of one body, to explain the choice.
     Reason,
 }
 
@@ -47,8 +47,8 @@ pub struct Trial {
     /// Index of the start (search), candidate (perturbed), strategy (forecast), unknown (sensitivity) or
     /// counterfactual world (reason); −1 in the screening and in the scan of the perturbed worlds.
     pub start: i32,
-    /// Number of the evaluation within its phase and start. For perturbed worlds the index of the world, where −1 is
-    /// the nominal world.
+    /// Number of the evaluation within its phase and start. For perturbed worlds it is the index of the world, with −1
+    /// for the nominal world.
     pub iteration: i32,
     /// The action.
     pub action: Action,
@@ -68,8 +68,8 @@ impl Trial {
 }
 
 /// Writes `trials.parquet`: `phase`, `start`, `iteration`, one column per parameter (under its name), `objective` and
-/// `valid` (1, or 0 for invalid rollouts, whose objective is infinite). The file holds no times, so that equal plans
-/// give equal bytes.
+/// `valid` (1, or 0 for invalid rollouts, which have an infinite objective). The file contains no times, so that equal
+/// plans give equal bytes.
 ///
 /// # Errors
 /// [`CoreError::Write`].

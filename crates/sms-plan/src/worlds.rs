@@ -1,4 +1,4 @@
-//! Worlds: pools of simulations that rollouts borrow, of the scanned scene and of perturbed ones.
+//! Worlds: pools of simulations that rollouts borrow, for the scanned scene and for perturbed ones.
 
 use crate::counter::Counter;
 use crate::rollout_outcome::RolloutOutcome;
@@ -12,7 +12,7 @@ use std::borrow::{Borrow, Cow};
 use std::ops::Range;
 use std::sync::Mutex;
 
-/// A pool of simulations of one scene. Each is built once and restored to its first state before every rollout, so
+/// A pool of simulations of one scene. Each is built once and restored to its initial state before every rollout, so
 /// that all are interchangeable.
 pub(crate) struct Worlds<'a> {
     task: &'a ResolvedTask,
@@ -65,11 +65,11 @@ impl<'a> Worlds<'a> {
 pub struct WorldFamily<'a> {
     /// The task.
     pub task: &'a ResolvedTask,
-    /// The scene that the worlds differ from.
+    /// The unperturbed scene.
     pub scene: &'a Scene,
     /// The engine.
     pub factory: &'a dyn WorldFactory,
-    /// Errors that worlds and strikes are given.
+    /// Errors in worlds and strikes.
     pub perturbation: &'a Perturbation,
     /// Seed of the family.
     pub seed: Seed,
@@ -84,7 +84,7 @@ pub(crate) struct PerturbedWorlds<'a> {
 }
 
 impl<'a> PerturbedWorlds<'a> {
-    /// Builds the worlds of these indices, with only the unknowns perturbed that `which` picks.
+    /// Builds the worlds with these indices, with only the unknowns selected by `which` perturbed.
     pub(crate) fn new(
         family: WorldFamily<'a>,
         indices: Range<usize>,
@@ -106,7 +106,7 @@ impl<'a> PerturbedWorlds<'a> {
         self.worlds.len()
     }
 
-    /// The objectives of pairs of a world (position) and an action, in their order.
+    /// Returns the objectives of pairs of a world (position) and an action, in order.
     pub(crate) fn each<A: Borrow<Action> + Sync>(
         &self,
         jobs: &[(usize, A)],
@@ -115,14 +115,14 @@ impl<'a> PerturbedWorlds<'a> {
         Ok(self.look_each(jobs, counter, &|_| ())?.into_iter().map(|seen| seen.0.objective()).collect())
     }
 
-    /// The outcome of each pair, with the result of `look` for simulated ones.
+    /// Returns the outcome of each pair, with the result of `look` for simulated ones.
     fn look_each<A: Borrow<Action> + Sync, T: Send>(
         &self,
         jobs: &[(usize, A)],
         counter: &Counter<'_>,
         look: &(dyn Fn(&Rollout) -> T + Sync),
     ) -> Result<Vec<(RolloutOutcome, Option<T>)>, PlanError> {
-        // World by world, so that each thread builds each world at most once.
+        // Grouped by world, so that each thread builds each world at most once.
         let mut order: Vec<usize> = (0..jobs.len()).collect();
         order.sort_by_key(|&j| jobs[j].0);
         let found: Vec<(RolloutOutcome, Option<T>)> = order
@@ -188,7 +188,8 @@ impl<'a> PerturbedWorlds<'a> {
 }
 
 /// Carries out an action in the first `count` worlds of a family. Returns the objectives in the order of the worlds,
-/// infinite for invalid rollouts. Measures the value of a plan; the planner's own families have other seeds.
+/// infinite for invalid rollouts. This measures the value of a plan, because the planner's own families have other
+/// seeds.
 ///
 /// # Errors
 /// [`PlanError`]: a scene that cannot be simulated, or interruption.

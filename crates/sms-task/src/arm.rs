@@ -12,21 +12,21 @@ use sms_sim::{SimError, Striker, StrikerMotion};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
-/// A robot in the planner's scene with a cache of planned sweeps. A sweep depends on the action alone, so that it is
-/// planned once for all worlds.
+/// A robot in the planner's scene with a cache of planned sweeps. A sweep depends only on the action, so it is planned
+/// once for all worlds.
 pub struct RobotArm {
     settings: RobotConfig,
     model: Arc<RobotModel>,
     config: StrikeConfig,
     obstacles: Vec<Obstacle>,
-    /// Hash of the scene's bodies and of the struck one. Two arms are equal only obstacles_hash the same obstacles.
+    /// Hash of the scene's bodies and of the struck one. Two arms are equal only if they have the same obstacles.
     obstacles_hash: Hash,
     planned: Mutex<BTreeMap<[u64; 6], Result<Arc<ArmStrike>, StrikeError>>>,
 }
 
 impl RobotArm {
-    /// Creates the robot of the settings obstacles_hash the bodies of a scene. The struck body is not an obstacle.
-    /// `None` if the settings give no pose of the robot.
+    /// Creates the robot of the settings, with the bodies of a scene as obstacles. The struck body is not an obstacle.
+    /// `None` if the settings have no pose of the robot.
     ///
     /// # Errors
     /// [`InputError`] of the robot's URDF.
@@ -82,7 +82,7 @@ impl RobotArm {
     }
 
     /// Checks the whole motion of a strike, from home to the lift after it, as `sms robot` does. Returns the name of
-    /// the first failed check, without figures, or `None`. Takes about ten times as long as [`Self::strike`].
+    /// the first failed check, without values, or `None`. Takes about ten times as long as [`Self::strike`].
     pub fn not_executable(&self, motion: &StrikerMotion) -> Option<String> {
         let ws = &mut Workspace::default();
         let sweep = motion.sweep(self.config.half_m.x);
@@ -127,7 +127,7 @@ impl PartialEq for RobotArm {
     }
 }
 
-/// Hash of the input of the obstacles: names, poses and shapes of all bodies, and the index of the struck one.
+/// Hash of the obstacles' inputs: names, poses and shapes of all bodies, and the index of the struck one.
 fn obstacles_hash(scene: &Scene, struck: usize) -> Hash {
     let mut hasher = Hasher::new();
     hasher.bytes(&struck.to_le_bytes());
@@ -161,8 +161,8 @@ fn rows(x: &DPose3) -> [[f64; 4]; 4] {
 }
 
 impl ResolvedTask {
-    /// The same task, carried out by the robot of the settings, or by a kinematic finger if they give no pose of the
-    /// robot. `scene` is the one that the task was resolved in.
+    /// Returns the same task for the robot of the settings, or for a kinematic finger if they have no pose of the
+    /// robot. `scene` is the scene in which the task was resolved.
     ///
     /// # Errors
     /// [`InputError`] of the robot's URDF.

@@ -49,7 +49,7 @@ pub struct Billiards {
     /// The parameters of an action.
     #[serde(default = "default_form")]
     pub form: ActionForm,
-    /// Their ranges.
+    /// Ranges of these parameters.
     #[serde(default)]
     pub bounds: ActionBounds,
     /// The robot's finger.
@@ -69,8 +69,8 @@ pub struct Billiards {
 pub struct ActionBounds {
     /// Speed of the finger at the contact position, m/s (paper's baseline: 0.2 to 0.85).
     pub speed: ParameterRange,
-    /// Direction of the sweep relative to the direction from cue to target ball, radians, positive to the left.
-    /// Shots that reach the target ball over an obstacle seldom begin further than 60° from it.
+    /// Direction of the sweep relative to the direction from cue to target ball, radians, positive to the left. Shots
+    /// that rebound off an obstacle before the target ball seldom start at more than 60° from this direction.
     pub angle: ParameterRange,
     /// Contact position along the sweep relative to the centre of the cue ball, metres.
     pub along: ParameterRange,
@@ -89,7 +89,7 @@ impl Default for ActionBounds {
     }
 }
 
-/// Surface of the striker; the robot's materials come from its model, not from the scan.
+/// Surface of the striker. The robot's materials come from its model instead of the scan.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StrikerMaterial {

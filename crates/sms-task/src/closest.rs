@@ -3,8 +3,8 @@
 use glamx::DVec2;
 
 /// Running minimum of the horizontal distance, exact for constant velocity between observations: within a step the
-/// squared distance is a quadratic in time, and its minimum is taken. Without this the objective would have a ripple
-/// of half a step's travel (1 mm at 0.8 m/s and 2.5 ms), which traps optimisers.
+/// squared distance is quadratic in time and has a closed-form minimum. Without this, the objective would have a ripple
+/// of half the travel in a step (1 mm at 0.8 m/s and 2.5 ms), and optimisers would stop at its local minima.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClosestApproach {
     goal_w: DVec2,
@@ -19,7 +19,7 @@ impl ClosestApproach {
         Self { goal_w, last: None, distance: f64::INFINITY, time_s: 0.0 }
     }
 
-    /// Adds the position at a time that is not before the last one.
+    /// Adds the position at a time, which must not be before the last one.
     pub fn observe(&mut self, time_s: f64, p_w: DVec2) {
         let (distance, at) = match self.last {
             None => (p_w.distance(self.goal_w), time_s),
@@ -50,7 +50,8 @@ impl ClosestApproach {
         self.time_s
     }
 
-    /// The smallest distance to the goal of a ray from the last position in a direction (of any length), metres.
+    /// Returns the smallest distance, metres, between the goal and a ray from the last position in a direction (of any
+    /// length).
     pub(crate) fn distance_of_ray(&self, direction: DVec2) -> f64 {
         let Some((_, p_w)) = self.last else { return f64::INFINITY };
         let to_goal = self.goal_w - p_w;
@@ -101,7 +102,7 @@ mod tests {
         fn a_straight_path_gives_the_same_in_any_steps(
             y in -0.3..0.3f64, x0 in -1.0..-0.1f64, cuts in prop::collection::vec(0.0..1.0f64, 0..20),
         ) {
-            // From (x0, y) to (1, y) past a goal at the origin: the distance is |y| however it is sampled.
+            // From (x0, y) to (1, y) past a goal at the origin, the distance is |y| for any sampling.
             let mut cuts = cuts;
             cuts.sort_by(f64::total_cmp);
             let mut closest = ClosestApproach::new(DVec2::ZERO);

@@ -12,10 +12,10 @@ pub struct AgainstPrediction {
     pub nominal: f64,
     /// Mean of the predicted distribution.
     pub mean: f64,
-    /// Its 90 % quantile.
+    /// 90 % quantile of the predicted distribution.
     pub q90: f64,
-    /// Share of the predicted worlds with a smaller objective than the realised one; equal ones count half. 0 is
-    /// better than all worlds, 1 worse than all, 0.5 the expectation.
+    /// Share of the predicted worlds with a smaller objective than the realised one; equal ones count half. 0 is better
+    /// than all worlds, 1 worse than all, 0.5 as expected.
     pub rank: f64,
     /// Number of predicted worlds with a valid rollout.
     pub worlds: usize,

@@ -1,8 +1,8 @@
 //! Tasks as data: actions, objectives, trajectories and the rollout that planner and target share.
 //!
 //! A [`Task`] is a TOML file. [`Task::resolve`] finds its bodies in the planner's scene. The [`ResolvedTask`] converts
-//! an [`Action`] to a motion of the robot in the world ([`ResolvedTask::strike`]) and carries that motion out in any
-//! world ([`ResolvedTask::rollout`]), the planner's or a target's. The striker is the arm of
+//! an [`Action`] to a motion of the robot in the world ([`ResolvedTask::strike`]) and carries out this motion in any
+//! world ([`ResolvedTask::rollout`]), either the planner's or a target's. The striker is the arm of
 //! [`ResolvedTask::with_robot`], or a kinematic finger.
 //!
 //! ```

@@ -7,7 +7,7 @@ use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::signed_distance;
 use std::path::Path;
 
-/// Places farther than this from every body are outside of the scan, metres.
+/// A place farther than this from every body is outside the scan, metres.
 const FARTHEST_M: f64 = 3.0;
 
 /// A body within this distance of a static body stands on it, metres.
@@ -20,7 +20,7 @@ const TOUCH_M: f64 = 0.005;
 const RINGS: u32 = 8;
 const DIRECTIONS: u32 = 24;
 
-/// Refuses a place far from the whole scene: units or axes are wrong.
+/// Rejects a place far from the whole scene: units or axes are wrong.
 pub(crate) fn check_near(path: &Path, what: &str, place_w: DVec2, scene: &Scene) -> Result<(), InputError> {
     let nearest = scene
         .bodies
@@ -41,8 +41,8 @@ pub(crate) fn check_near(path: &Path, what: &str, place_w: DVec2, scene: &Scene)
     ))
 }
 
-/// Refuses a place on the floor that the body cannot come within `enough_m` of, at its own height: a static body is
-/// in the way, or there is no floor.
+/// Rejects a place on the floor if the body cannot come within `enough_m` of it at its own height, because a static
+/// body is in the way or there is no floor.
 pub(crate) fn check_reachable(
     path: &Path,
     what: &str,
@@ -67,7 +67,7 @@ pub(crate) fn check_reachable(
                 && signed_distance(b, p_w.extend(body.center_w.z)) < body.radius - TOUCH_M
         };
         let in_way = |p_w: DVec2| still.iter().find(|b| is_in_way(b, p_w));
-        // Samples of the disc in which the place counts as reached.
+        // Samples of the disc that counts as reaching the place.
         let mut around = (1..=RINGS).flat_map(|ring| {
             (0..DIRECTIONS).map(move |k| {
                 let turn = std::f64::consts::TAU * f64::from(k) / f64::from(DIRECTIONS);
@@ -87,7 +87,7 @@ pub(crate) fn check_reachable(
             );
         }
     }
-    // A place on the floor needs the support that the body stands on now, or an infinite floor.
+    // A place on the floor needs the body's present support below it, or an infinite floor.
     let lowest_w = |p_w: DVec2| p_w.extend(body.center_w.z - body.radius);
     let gap_m =
         |p_w: DVec2| still.iter().map(|b| signed_distance(b, lowest_w(p_w))).fold(f64::INFINITY, f64::min);

@@ -1,4 +1,4 @@
-//! A task whose bodies are found in the planner's scene.
+//! A task with its bodies found in the planner's scene.
 
 use crate::billiards::{StrikeSettings, named};
 use crate::body::{TaskBody, bodies_of, find, horizontal, task_body};
@@ -14,8 +14,8 @@ use sms_sim::{StrikerMotion, WorldOptions};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A task resolved against the planner's scene. It defines actions in world coordinates, so that a target world with
-/// other bodies carries out the same motion of the robot.
+/// A task resolved in the planner's scene. It defines actions in world coordinates, so that a target world with other
+/// bodies can execute the same motion of the robot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResolvedTask {
     kind: &'static str,
@@ -157,8 +157,8 @@ fn outline_of(body: &Body) -> Vec<DVec2> {
 }
 
 impl ResolvedTask {
-    /// Goals on the floor with their names in the task file, as points of the surface on which the body stands, in
-    /// the world. Places that may lie beside the floor are not included.
+    /// Returns the goals on the floor with their names in the task file, as points of the surface that supports the
+    /// body, in the world. Places that may lie beside the floor are not included.
     pub fn floor_places(&self) -> Vec<(String, DVec3)> {
         let under = |body: &TaskBody, place_w: DVec2| place_w.extend(body.center_w.z - body.radius);
         match &self.objective {
@@ -192,12 +192,12 @@ impl ResolvedTask {
         &self.cue
     }
 
-    /// The body that has to reach a place or to topple; the struck body if no term names another.
+    /// The body that has to reach a place or to topple; the struck body if no term has another one.
     pub fn target(&self) -> &TaskBody {
         &self.target
     }
 
-    /// The goal on the floor: of billiards, or the middle of the first place to reach.
+    /// The goal on the floor: the goal of billiards, or the centre of the first place to reach.
     pub fn goal_w(&self) -> Option<DVec2> {
         match &self.objective {
             Objective::ClosestApproach(goal_w) => Some(*goal_w),
@@ -223,7 +223,7 @@ impl ResolvedTask {
         objective <= self.common.success_m
     }
 
-    /// Objective of doing nothing, metres.
+    /// Objective without any action, metres.
     pub fn initial_objective(&self) -> f64 {
         match &self.objective {
             Objective::ClosestApproach(goal_w) => horizontal(self.target.center_w).distance(*goal_w),
@@ -264,8 +264,8 @@ impl ResolvedTask {
         all
     }
 
-    /// The part of the parameter box in which the cue ball hits the target ball directly. It has a far smaller range
-    /// of angles than the bounds and contains most good shots. `None` if it is not smaller.
+    /// The part of the parameter box in which the cue ball hits the target ball directly. Its range of angles is much
+    /// smaller than the bounds, and it contains most good shots. `None` if it is not smaller.
     pub fn direct_box(&self) -> Option<Vec<[f64; 2]>> {
         if self.cue.index == self.target.index || !self.outline.is_empty() {
             return None;
@@ -275,7 +275,7 @@ impl ResolvedTask {
         let [low, high] = self.common.bounds.angle;
         // Beyond a cut of about 75° the target ball hardly moves.
         let cone = (0.97 * reach.min(1.0)).asin();
-        // The angle 0 may point elsewhere.
+        // The angle 0 may point in another direction.
         let middle =
             wrapped_angle(horizontal(self.target.center_w - self.cue.center_w).to_angle() - self.base_angle);
         let narrowed = [low.max(middle - cone), high.min(middle + cone)];
@@ -324,9 +324,9 @@ impl ResolvedTask {
         Action(values.map(|(&v, p)| v.max(p.low).min(p.high)).collect())
     }
 
-    /// The motion of the robot's finger in world coordinates. The sweep goes along the direction from cue to target
-    /// ball turned by `angle`. It has `speed` at the contact position: the cue ball's centre plus the contact
-    /// offsets.
+    /// The motion of the robot's finger in world coordinates. The sweep follows the direction from cue to target ball,
+    /// rotated by `angle`. Its speed is `speed` at the contact position, which is the cue ball's centre plus the
+    /// contact offsets.
     ///
     /// # Panics
     /// If the number of values differs from the number of parameters.
@@ -336,7 +336,7 @@ impl ResolvedTask {
         let angle = wrapped_angle(self.base_angle + action.0[1]);
         let forward = DVec2::from_angle(angle);
         let contact = forward * offset(2) + forward.perp() * offset(3);
-        // The finger starts clear of an extended body in any orientation.
+        // The finger must not touch an extended body at the start, in any orientation.
         let back = self.outline.iter().map(|p| -p.dot(forward)).fold(0.0, f64::max);
         StrikerMotion {
             contact_w: self.cue.center_w + DVec3::new(contact.x, contact.y, 0.0),

@@ -18,31 +18,29 @@ pub const STRIKER: &str = "striker";
 /// Motion below which a body is not recorded: metres and radians.
 const MOVED: (f64, f64) = (2e-4, 2e-3);
 
-/// Speeds (m/s, rad/s) below which a body other than a ball counts as still. A toppling body is faster.
+/// A body other than a ball is still below these speeds (m/s, rad/s). A toppling body is faster.
 const STILL: (f64, f64) = (0.003, 0.03);
 
-/// Distance outside of all bodies from which on a ball counts as gone, metres. The margin allows for pushed
-/// obstacles.
+/// A ball farther than this outside all bodies counts as gone, metres. The margin allows for pushed obstacles.
 const ARENA_MARGIN_M: f64 = 0.05;
 
-/// Penetration beyond which a ball has passed through a surface, metres. Engines let fast balls sink in by a few
-/// tenths of a millimetre.
+/// Penetration above which a ball has passed through a surface, metres. In engines, fast balls sink in by a few tenths
+/// of a millimetre.
 const DEEPEST_M: f64 = 0.005;
 
-/// The same for other bodies, beyond their penetration at the start: their convex parts are larger than the body and
-/// overlap at rest.
+/// Limit for other bodies, in addition to their penetration at the start: their convex parts are larger than the body
+/// and overlap at rest.
 const DEEPEST_BODY_M: f64 = 0.01;
 
-/// Largest speed of a repeatedly struck body relative to the finger, as a factor.
+/// Largest ratio of the speed of a repeatedly struck body to the speed of the finger.
 const FASTEST: f64 = 4.0;
 
 /// Tolerance for energy beyond the robot's work, and for gains after the strike: a share of the energy, and joules.
-/// Engines push apart bodies that have sunk into each other. Valid shots have at most 0.92 of the robot's work and gain
-/// at most 0.05 mJ (152 shots in four engines, experiments/studies/plan.md). 20 mJ lift 5 kg by 0.4 mm, out of their
-/// support.
+/// Engines add energy when they separate overlapping bodies. Valid shots have at most 0.92 of the robot's work and gain
+/// at most 0.05 mJ (152 shots in four engines, experiments/studies/plan.md). 20 mJ lift 5 kg by 0.4 mm.
 const ENERGY_GAIN: (f64, f64) = (0.05, 0.02);
 
-/// Longest settling time, seconds, and largest horizontal motion in it, metres.
+/// Longest settling time, seconds, and largest horizontal motion during settling, metres.
 const SETTLE_S: f64 = 1.0;
 const SETTLE_M: f64 = 5e-4;
 
@@ -56,14 +54,14 @@ pub struct MotionRecording {
 /// The result of a rollout.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rollout {
-    /// Smallest horizontal distance of the target ball's centre to the goal, metres, over all steps and between them;
+    /// Smallest horizontal distance of the target ball's centre to the goal, metres, including the time between steps;
     /// or the weighted sum of the task's terms.
     pub objective: f64,
     /// Time of the closest approach, seconds from the start of the sweep; the end of the rollout for terms.
     pub closest_s: f64,
     /// First contacts of pairs of bodies in order of time, in seconds from the start of the sweep.
     pub contacts: Vec<ContactEvent>,
-    /// End of the rollout, seconds: the horizon, or earlier when the objective was final.
+    /// End of the rollout, seconds: the horizon, or earlier if the objective was final.
     pub end_s: f64,
     /// The motion, if it was recorded.
     pub trajectory: Option<Trajectory>,
@@ -73,7 +71,7 @@ pub struct Rollout {
 #[derive(Debug, Clone, PartialEq)]
 pub struct WorldBodies {
     target: BodyId,
-    /// Bodies of the terms, in the order of the terms; `None` for a body that this world lacks.
+    /// Bodies of the terms, in the order of the terms; `None` for a body that is missing in this world.
     term_bodies: Vec<Option<BodyId>>,
     dynamic: Vec<Mover>,
     /// Centre and radius of a disc on the floor that contains all bodies at the start.
@@ -94,8 +92,8 @@ struct Mover {
 }
 
 impl ResolvedTask {
-    /// The bodies of a world built from `scene`, in which the target is called `target` and the other bodies have
-    /// their own names.
+    /// Returns the bodies of a world built from `scene`. The target is called `target`, and the other bodies keep their
+    /// names.
     ///
     /// # Errors
     /// [`TaskError::Input`] if there is no dynamic body of that name.
@@ -108,7 +106,7 @@ impl ResolvedTask {
     ///
     /// # Errors
     /// [`TaskError::Input`] if the target, or another body that has to reach a place or to topple, is missing. Bodies
-    /// that only have to keep still or out of a place may be missing.
+    /// that only have to keep still or avoid a place may be missing.
     pub fn bodies_called(
         &self,
         scene: &Scene,
@@ -169,8 +167,8 @@ impl ResolvedTask {
         Ok(WorldBodies { target, term_bodies, dynamic, arena: arena_of(scene) })
     }
 
-    /// Builds a world of a scene and saves it at rest, as [`ResolvedTask::rollout`] expects. The scan saw the objects
-    /// at rest; once they have settled and fallen asleep, the simulation spends no time on those that the shot does
+    /// Builds a world of a scene and saves it at rest, as [`ResolvedTask::rollout`] expects. The objects are at rest in
+    /// the scan. Once they have settled and fallen asleep, the simulation spends no time on objects that the shot does
     /// not touch. If they do not settle quickly and in place, the world starts in the state of the scene.
     ///
     /// # Errors
@@ -190,18 +188,17 @@ impl ResolvedTask {
         Ok(simulation)
     }
 
-    /// Carries out a strike ([`ResolvedTask::striker`]) in a simulation in its first state and measures the
-    /// objective.
+    /// Carries out a strike ([`ResolvedTask::striker`]) in a simulation in its first state and measures the objective.
     ///
-    /// A rollout ends at the horizon, or when the sweep is over and everything rests. Without recording it also ends
-    /// once the objective is final. That holds when all kinetic energy, given to the target ball at once, would not
-    /// bring it closer in the time left, or when the ball rolls away outside of all other bodies and not towards the
-    /// goal. Balls that roll away no longer count; other bodies must stand still, since they might topple.
+    /// A rollout ends at the horizon, or when the sweep is over and everything rests. Without recording, it also ends
+    /// once the objective is final. The objective is final if the target ball could not come closer in the time left
+    /// even with all kinetic energy, or if the ball rolls away from the goal outside all other bodies. Other balls that
+    /// roll away no longer count. Other bodies must be still, since they might topple.
     ///
     /// # Errors
     /// [`SimError::Diverged`] if a state is not finite. [`SimError::Unphysical`] if bodies have more energy than the
-    /// robot gave them, if they gain energy after the strike, if a ball is more than 5 mm inside of another body, or
-    /// if another moving body is 10 mm deeper in others than at the start. Checked every 16 steps.
+    /// robot gave them, if they gain energy after the strike, if a ball is more than 5 mm inside of another body, or if
+    /// another moving body is 10 mm deeper in others than at the start. Checked every 16 steps.
     pub fn rollout(
         &self,
         simulation: &mut Simulation,
@@ -212,7 +209,7 @@ impl ResolvedTask {
         let settings = &self.common;
         let mut tracker = ObjectiveTracker::new(&self.objective, simulation, bodies);
         let start = simulation.states().to_vec();
-        // The world has settled before, so its clock does not start at 0.
+        // The world has settled before, so the clock does not start at 0.
         let start_s = simulation.time_s();
         let striker = striker.into();
         let finger_speed = match &striker {
@@ -237,7 +234,7 @@ impl ResolvedTask {
                 r.record_if_due(time_s, simulation);
             }
             let left_s = settings.horizon_s - time_s;
-            // Checked now and then: a check costs as much as a few contacts.
+            // Checked only every 16 steps, because a check costs as much as a few contacts.
             if step % 16 != 0 {
                 continue;
             }
@@ -328,7 +325,7 @@ impl<'a> ObjectiveTracker<'a> {
 }
 
 impl WorldBodies {
-    /// Lets everything come to rest. Returns whether it did, without any body leaving its place.
+    /// Lets all bodies come to rest. Returns whether they did so without leaving their places.
     fn settle(&self, simulation: &mut Simulation, dt: f64) -> bool {
         let places: Vec<DVec2> = self.places(simulation).collect();
         let mut time_s = 0.0;
@@ -403,7 +400,8 @@ impl WorldBodies {
         closest.current_distance() - fastest * left_s >= closest.distance()
     }
 
-    /// Whether a ball is outside of everything and rolls outwards without slip, so that spin cannot turn it back.
+    /// Returns whether a ball is outside all other bodies and rolls outwards without slip, so that spin cannot reverse
+    /// it.
     fn rolls_away(&self, state: &BodyState, radius: f64) -> bool {
         let (center, arena_radius) = self.arena;
         let outwards = horizontal(state.x_wb.translation) - center;
@@ -467,7 +465,7 @@ impl RolloutChecks {
             let is_too_deep = if m.radius.is_some() {
                 depth_m > DEEPEST_M
             } else {
-                // Computed only if it decides.
+                // Computed only if it is decisive.
                 depth_m > DEEPEST_BODY_M
                     && depth_m > DEEPEST_BODY_M + simulation.penetration_at(m.id, &self.start)
             };
@@ -503,8 +501,8 @@ impl RolloutChecks {
         Ok(())
     }
 
-    /// Upper bound of the energy that the robot can have given, J: the work of the arm. For a kinematic finger it is
-    /// the kinetic energy of the touched bodies at a multiple of its speed.
+    /// Returns an upper bound of the energy from the robot, J: the work of the arm. For a kinematic finger, it is the
+    /// kinetic energy of the touched bodies at a multiple of the finger's speed.
     fn most_given(&self, simulation: &Simulation, bodies: &WorldBodies) -> f64 {
         if let Some(work) = simulation.work_j(self.striker) {
             return work.max(0.0);
@@ -517,7 +515,7 @@ impl RolloutChecks {
         };
         let v2 = (FASTEST * self.finger_speed).powi(2);
         let touched = |m: &&Mover| with_finger(m.id);
-        // Engines that do not report all contacts may have missed some: then any body counts.
+        // Engines that do not report all contacts may miss some. For these, all bodies count as touched.
         let any = bodies.dynamic.iter().any(|m| with_finger(m.id));
         bodies.dynamic.iter().filter(|m| !any || touched(m)).map(|m| 0.5 * m.mass * v2).sum()
     }

@@ -1,4 +1,4 @@
-//! Selection of bodies in reconstructed scenes, whose body names are not known in advance.
+//! Selection of bodies in reconstructed scenes, where names are not known in advance.
 
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};

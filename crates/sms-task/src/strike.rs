@@ -23,7 +23,7 @@ pub struct Strike {
     /// The body that the finger strikes.
     pub strike: Selector,
     /// Point on the floor that the angle 0 of the sweep points to, world x and y in metres. Default: the first other
-    /// body that a `reach` or `topple` term names, or else the first place to reach.
+    /// body of a `reach` or `topple` term, or else the first place to reach.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub towards_w: Option<[f64; 2]>,
     /// Simulated time, seconds from the start of the sweep.
@@ -35,7 +35,7 @@ pub struct Strike {
     /// The parameters of an action.
     #[serde(default = "billiards::default_form")]
     pub form: ActionForm,
-    /// Their ranges.
+    /// Ranges of these parameters.
     #[serde(default)]
     pub bounds: ActionBounds,
     /// The robot's finger.

@@ -19,7 +19,7 @@ impl Task {
     /// Reads and checks a task file (TOML).
     ///
     /// # Errors
-    /// [`CoreError::Input`] that names the file and the key: the file cannot be read, is no TOML, has an unknown or
+    /// [`CoreError::Input`] that names the file and the key: the file cannot be read, is not TOML, has an unknown or
     /// missing key, an unknown kind, or a value out of range.
     pub fn read(path: &Path) -> Result<Self, CoreError> {
         // The kind decides which keys exist, so it is read first. The typed reading then reports lines.
@@ -67,7 +67,7 @@ impl Task {
     }
 }
 
-/// Refuses a pose of the robot in a task file: it belongs in the settings.
+/// Rejects a pose of the robot in a task file: it belongs in the settings.
 fn refuse_robot(table: &toml::Table, path: &Path) -> Result<(), InputError> {
     let is_place = |key: &&String| {
         ["x_world_robot", "x_recording_robot", "robot"].iter().any(|k| key.eq_ignore_ascii_case(k))

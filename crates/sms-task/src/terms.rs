@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::InputError;
 use std::path::Path;
 
-/// Length equivalent to a rotation of one radian, metres: half the height of a mug, the path of its rim.
+/// Length equivalent to a rotation of one radian, metres: half the height of a mug (the path of its rim).
 pub const METRES_PER_RADIAN: f64 = 0.1;
 
 /// A place in the world.
@@ -102,7 +102,7 @@ pub enum When {
     expecting = "a body is \"others\", or one of { name = … }, { near = [x, y, z] }, { color = … }"
 )]
 pub enum TermBodies {
-    /// All dynamic bodies except the struck one and those that other terms name: `"others"`.
+    /// All dynamic bodies except the struck one and those of other terms: `"others"`.
     Others(Others),
     /// One body.
     One(Selector),
@@ -116,7 +116,7 @@ pub enum Others {
     Others,
 }
 
-/// A term of the objective. Its value is 0 when it is met and grows with the error, in metres.
+/// A term of the objective. Its value is 0 when satisfied and grows with the error, in metres.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "term", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Term {
@@ -332,13 +332,13 @@ impl<'a> TermTracker<'a> {
         self.last = Some(p_w);
     }
 
-    /// The smallest signed distance to a place since the last observation. The distance to a convex place is convex
-    /// along a line, so that a golden-section search finds the minimum.
+    /// Returns the smallest signed distance to a place since the last observation. The distance to a convex place is
+    /// convex along a line, so a golden-section search finds the minimum.
     fn least_distance(&self, place: &Region, p_w: DVec3) -> f64 {
         let there = place.signed_distance(p_w);
         let Some(before) = self.last else { return there };
         let here = place.signed_distance(before);
-        // Lower bound: closer than both ends by at most the distance between them.
+        // Lower bound: the distance cannot be smaller than at the ends by more than the length of the line.
         if here.min(there) - before.distance(p_w) > self.value && matches!(self.term, Term::Reach { .. }) {
             return here.min(there);
         }
@@ -361,7 +361,7 @@ impl<'a> TermTracker<'a> {
         here.min(there).min(at_a).min(at_b)
     }
 
-    /// The motion ended at `time_s` and everything rests: a time span in the future sees the final pose.
+    /// Records that the motion ended at `time_s` and everything rests: a later time span has the final pose.
     pub(crate) fn rest(&mut self, time_s: f64, x_wb: &DPose3) {
         let [from, _] = self.term.between_s();
         if from > time_s {
@@ -404,7 +404,7 @@ mod tests {
     }
 
     proptest! {
-        /// The smallest distance is that of the line for any sampling.
+        /// The smallest distance to the line is independent of the sampling.
         #[test]
         fn reaching_does_not_depend_on_the_steps(
             y in -0.4..0.4f64, cuts in prop::collection::vec(0.0..1.0f64, 0..12),
@@ -420,7 +420,7 @@ mod tests {
             prop_assert!((tracker.cost() - 2.0 * y.abs()).abs() < 1e-6, "{} {}", tracker.cost(), y);
         }
 
-        /// A body that passes a box within one step is noticed, with the depth it reached.
+        /// A body that passes through a box within one step is detected, with the depth that it reached.
         #[test]
         fn a_place_to_avoid_is_noticed_between_two_steps(depth in 0.005..0.045f64) {
             let term = Term::Avoid { body: body(), place: BOX, weight: 1.0, between_s: always() };
@@ -479,7 +479,7 @@ mod tests {
     #[test]
     fn a_tilt_topples_and_a_spin_does_not() {
         let term = Term::Topple { body: body(), angle_rad: 1.0, weight: 1.0, between_s: always() };
-        // The body's own axes are arbitrary at the start.
+        // The orientation of the body's own axes at the start is arbitrary.
         let start = DPose3::from_parts(DVec3::ZERO, DQuat::from_rotation_y(0.7));
         let mut tracker = TermTracker::new(&term, start);
         let turned = |q: DQuat| DPose3::from_parts(DVec3::ZERO, q * start.rotation);

@@ -18,7 +18,7 @@ pub struct HubConfig {
     pub token: Option<String>,
     /// Whether network access is forbidden (`HF_HUB_OFFLINE`).
     pub is_offline: bool,
-    /// Branch, tag or commit, instead of each model's own ([`HubModel::revision`]).
+    /// Branch, tag or commit that replaces the pinned one of each model ([`HubModel::revision`]).
     pub revision: Option<String>,
     /// Greatest number of attempts of a download.
     pub attempts: usize,
@@ -48,7 +48,7 @@ pub struct CachedModel {
 }
 
 impl HubConfig {
-    /// Reads the environment as the hub's own library does.
+    /// Reads the environment like the hub's own library.
     pub fn from_environment() -> Self {
         Self::from_variables(|name| std::env::var(name).ok())
     }
@@ -134,16 +134,16 @@ impl HubConfig {
                 return Err(InputError::new(what, &self.endpoint, cure).into());
             }
             let blob = repository.join("blobs").join(&remote.checksum);
-            // Another program, or a full disk, may have left different content under that name.
+            // Another program, or a full disk, may have left different content under this name.
             if !blob.is_file() || checksum_of(&blob, remote.checksum.len(), cancel)? != remote.checksum {
                 client.download(&remote, file, &blob, progress, cancel)?;
             }
-            // All files of one model are of one commit, even if the branch moves meanwhile.
+            // All files of one model come from one commit, even if the branch moves meanwhile.
             revision.clone_from(&remote.commit);
             link(&blob, &repository.join("snapshots").join(&remote.commit).join(file))?;
         }
         if revision != asked {
-            // Written last: from now on the model counts as cached.
+            // Written last: this marks the model as cached.
             sms_core::atomic::write_bytes(&repository.join("refs").join(asked), revision.as_bytes())?;
         }
         Ok(repository.join("snapshots").join(&revision))
@@ -160,12 +160,12 @@ impl HubConfig {
     }
 }
 
-/// Whether a revision is a commit, not a branch or tag.
+/// Returns whether a revision is a commit instead of a branch or tag.
 fn is_commit(revision: &str) -> bool {
     revision.len() == 40 && revision.bytes().all(|b| b.is_ascii_hexdigit())
 }
 
-/// Makes `at` a link to the file `blob`, which lies two folders up and in `blobs`.
+/// Makes `at` a link to the file `blob` in the folder `blobs` two levels up.
 fn link(blob: &Path, at: &Path) -> Result<(), CoreError> {
     if let Some(folder) = at.parent() {
         std::fs::create_dir_all(folder).map_err(CoreError::write(folder))?;

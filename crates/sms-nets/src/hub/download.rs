@@ -14,12 +14,12 @@ use ureq::http::Response;
 use ureq::{Agent, Body};
 
 const PIECE: usize = 1 << 16;
-/// Longest pause honoured on a server's request.
+/// Longest pause that is accepted on a server's request.
 const LONGEST_PAUSE: Duration = Duration::from_secs(120);
-/// Longest time of one request. A silent connection is closed after it and the download resumed; so is a slow one,
-/// which loses nothing.
+/// Longest time of one request. Afterwards a silent or slow connection is closed and the download resumed; no data are
+/// lost.
 const LONGEST_BODY: Duration = Duration::from_secs(120);
-/// Redirects followed, one after the other.
+/// Largest number of successive redirects.
 const REDIRECTS: usize = 8;
 
 /// The hub's description of a file.
@@ -27,7 +27,7 @@ const REDIRECTS: usize = 8;
 pub(crate) struct Remote {
     /// Commit of the requested revision.
     pub(crate) commit: String,
-    /// SHA-256 of a large file, or the Git object name of a small one; also its name in the cache.
+    /// SHA-256 of a large file, or the Git object name of a small one; also the file's name in the cache.
     pub(crate) checksum: String,
     /// Size in bytes.
     size: Option<u64>,
@@ -37,7 +37,7 @@ pub(crate) struct Remote {
 
 /// A failed attempt.
 enum Failure {
-    /// A retry may help, after this time if the server gives one.
+    /// Temporary: a retry may help, after this time if the server gives one.
     Passing(String, Option<Duration>),
     /// A retry will not help.
     Lasting(Box<NetsError>),
@@ -101,7 +101,7 @@ impl<'a> HubClient<'a> {
                 (Some(commit), Some(checksum), target) => {
                     return Ok(Remote { commit: commit.clone(), checksum, size, url: target.unwrap_or(at) });
                 }
-                // The hub redirects to the description, too.
+                // The hub may also redirect to the description.
                 (_, _, Some(target)) => at = target,
                 _ => {
                     let what = format!("the server at {at} is not a Hugging Face hub");
@@ -173,7 +173,7 @@ impl<'a> HubClient<'a> {
             response = self.ask(&at, false, (have > 0).then_some(have))?;
         }
         if matches!(response.status().as_u16(), 401 | 403) && !same_host(&at, &self.hub.endpoint) {
-            // The hub's addresses of content are signed and expire.
+            // Addresses of content are signed and expire.
             at = self.look_once(&self.address(&remote.commit, file), file)?.url;
             response = self.ask(&at, false, (have > 0).then_some(have))?;
         }
@@ -220,7 +220,7 @@ impl<'a> HubClient<'a> {
     fn ask(&self, url: &str, head: bool, from: Option<u64>) -> Result<Response<Body>, Failure> {
         let mut request = if head { self.agent.head(url) } else { self.agent.get(url) };
         request = request.header("Accept-Encoding", "identity");
-        // The token is for the hub only: it is not sent to redirection targets.
+        // The token is only for the hub: it is not sent to redirection targets.
         if let Some(token) = self.hub.token.as_ref().filter(|_| same_host(url, &self.hub.endpoint)) {
             request = request.header("Authorization", format!("Bearer {token}"));
         }
@@ -260,8 +260,8 @@ impl<'a> HubClient<'a> {
         }
     }
 
-    /// Repeats an attempt until it succeeds, a permanent failure occurs, or no attempts are left. Attempts that
-    /// made progress (`have` returns the number of bytes so far) do not count.
+    /// Repeats an attempt until it succeeds, a permanent failure occurs, or no attempts are left. Attempts with
+    /// progress do not count; `have` returns the number of bytes so far.
     fn repeated<T>(
         &self,
         file: &str,
@@ -370,7 +370,7 @@ mod tests {
         assert_eq!(absolute("https://a.b/c/d", "x"), "https://a.b/c/x");
         assert_eq!(absolute("https://a.b/c", "https://e/f"), "https://e/f");
         assert!(same_host("http://A.b:1/x", "http://a.b:1") && !same_host("http://a.b:1/x", "http://a.b:2"));
-        // A host that only starts like the hub's gets no token either.
+        // A host with the hub's address as a prefix also gets no token.
         assert!(!same_host("https://huggingface.co.evil/x", "https://huggingface.co"));
     }
 }

@@ -63,12 +63,12 @@ impl VisionConfig {
     }
 }
 
-/// Greatest plausible size; published models are below it.
+/// Largest plausible size; published models are smaller.
 const LARGEST: usize = 1 << 16;
 
 impl Owlv2Config {
-    /// Returns the first value that no network can have, or `None`. Sizes that contradict the weights are found
-    /// when those are read.
+    /// Returns the first value that is impossible for any network, or `None`. Sizes that contradict the weights are
+    /// detected when the weights are read.
     pub fn fault(&self) -> Option<String> {
         let (text, vision) = (&self.text_config, &self.vision_config);
         for (name, value, least, most) in [
@@ -78,7 +78,7 @@ impl Owlv2Config {
             ("text_config.intermediate_size", text.intermediate_size, 1, LARGEST),
             ("text_config.num_hidden_layers", text.num_hidden_layers, 1, 1024),
             ("text_config.num_attention_heads", text.num_attention_heads, 1, LARGEST),
-            // Start, a word, end.
+            // The minimum is start, a word, end.
             ("text_config.max_position_embeddings", text.max_position_embeddings, 3, 1024),
             ("vision_config.hidden_size", vision.hidden_size, 1, LARGEST),
             ("vision_config.intermediate_size", vision.intermediate_size, 1, LARGEST),
@@ -110,7 +110,8 @@ impl Owlv2Config {
                 "vision_config.image_size is {image}, not a multiple of vision_config.patch_size, {patch}"
             ));
         }
-        // The class head's output has the text tower's channels and is compared with queries of the shared length.
+        // The output of the class head has as many channels as the text tower and is compared with queries of the
+        // shared length.
         if self.projection_dim != text.hidden_size {
             let (shared, hidden) = (self.projection_dim, text.hidden_size);
             return Some(format!(

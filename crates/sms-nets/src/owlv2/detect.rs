@@ -46,7 +46,7 @@ impl PixelBox {
         w.max(0.0) * h.max(0.0)
     }
 
-    /// Whether at least `share` of `other` lies in this one.
+    /// Returns whether at least `share` of `other` lies in this box.
     pub fn holds(&self, other: &Self, share: f64) -> bool {
         other.area() > 0.0 && self.shared(other) >= share * other.area()
     }
@@ -57,9 +57,9 @@ impl PixelBox {
 pub struct Detection {
     /// Index of the query with the highest score.
     pub query: usize,
-    /// That score, in 0..1.
+    /// Score of this query, in 0..1.
     pub score: f64,
-    /// Its box.
+    /// Bounding box of the object.
     pub bbox: PixelBox,
 }
 
@@ -98,8 +98,9 @@ pub fn detections(
     Ok(found)
 }
 
-/// Non-maximum suppression across all queries: returns the best first, without those that overlap a better one by
-/// more than `max_overlap`. The network itself has none, and an object is found by several queries and patches.
+/// Non-maximum suppression across all queries: returns the best detections first, without those that overlap a better
+/// one by more than `max_overlap`. The network itself has no suppression, and several queries and patches find the same
+/// object.
 pub fn suppressed(mut found: Vec<Detection>, max_overlap: f64) -> Vec<Detection> {
     found.sort_by(|a, b| b.score.total_cmp(&a.score));
     let mut kept: Vec<Detection> = Vec::new();

@@ -12,9 +12,9 @@ const DEVIATION: [f64; 3] = [0.26862954, 0.26130258, 0.27577711];
 /// Returns the image padded with black at the bottom and right to a square, blurred before reduction, resized
 /// bilinearly to `side` pixels and normalized: (1, 3, `side`, `side`).
 ///
-/// As the official OWLv2 code and scikit-image's `resize` do: the blur is a Gaussian of (factor − 1) / 2 pixels,
-/// cut off at 4 of them, borders are mirrored at the outermost pixels' centres, and the result is clipped to the
-/// input's range. Older versions of the transformers library padded with grey.
+/// This follows the official OWLv2 code and scikit-image's `resize`. The blur is a Gaussian with σ = (factor − 1) / 2
+/// pixels, truncated at 4σ. Borders are mirrored at the centres of the outermost pixels, and the result is clipped to
+/// the input's range. Older versions of the transformers library padded with grey.
 ///
 /// # Errors
 /// If the device has too little memory.

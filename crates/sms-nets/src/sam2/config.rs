@@ -1,5 +1,5 @@
-//! `config.json` of a SAM 2.1 video model. Missing fields have the defaults of the library that wrote it, which are
-//! those of `sam2.1-hiera-tiny`.
+//! `config.json` of a SAM 2.1 video model. Missing fields have the defaults of the library that wrote the file, which
+//! are those of `sam2.1-hiera-tiny`.
 
 use serde::Deserialize;
 
@@ -15,7 +15,7 @@ pub struct Sam2Config {
     pub mask_decoder_config: DecoderConfig,
     /// Side of the resized square image, in pixels.
     pub image_size: usize,
-    /// Number of memories of frames per object, the prompted one included.
+    /// Number of frames with a memory per object, including the prompted one.
     pub num_maskmem: usize,
     /// Greatest number of object pointers per object.
     pub max_object_pointers_in_encoder: usize,
@@ -27,15 +27,15 @@ pub struct Sam2Config {
     pub memory_attention_feed_forward_hidden_size: usize,
     /// Base of the rotary position encoding.
     pub memory_attention_rope_theta: f32,
-    /// The base in newer versions of the library.
+    /// The base, as stored by newer versions of the library.
     pub rope_parameters: Option<RopeParameters>,
     /// Channels of a memory.
     pub memory_encoder_output_channels: usize,
     /// Number of blocks that fuse a mask with the image's features.
     pub memory_fuser_num_layers: usize,
-    /// Channels between the two fully connected layers of such a block.
+    /// Channels between the two fully connected layers of a fusing block.
     pub memory_fuser_intermediate_dim: usize,
-    /// Kernel of such a block's depthwise convolution.
+    /// Kernel of the depthwise convolution in a fusing block.
     pub memory_fuser_kernel_size: usize,
     /// The memory encoder takes masks as `scale · σ(logit) + bias`.
     pub sigmoid_scale_for_mem_enc: f32,
@@ -43,7 +43,7 @@ pub struct Sam2Config {
     pub sigmoid_bias_for_mem_enc: f32,
 }
 
-/// The rotary encoding in newer versions of the library.
+/// The rotary encoding, as stored by newer versions of the library.
 #[derive(Debug, Clone, Deserialize)]
 pub struct RopeParameters {
     /// The base.
@@ -130,12 +130,12 @@ impl Sam2Config {
     }
 }
 
-/// Greatest plausible size; published models are below it.
+/// Largest plausible size; published models are smaller.
 const LARGEST: usize = 1 << 16;
 
 impl Sam2Config {
-    /// Returns the first value that no network can have, or `None`. Sizes that contradict the weights are found
-    /// when those are read.
+    /// Returns the first value that is impossible for any network, or `None`. Sizes that contradict the weights are
+    /// detected when the weights are read.
     pub fn fault(&self) -> Option<String> {
         let hiera = &self.vision_config.backbone_config;
         let stages = hiera.embed_dim_per_stage.len();

@@ -62,7 +62,7 @@ impl TwoWay {
         })
     }
 
-    /// Returns new tokens and image; in the `first` block the tokens are still the prompt itself.
+    /// Returns new tokens and image features; in the `first` block the tokens are still the prompt itself.
     fn forward(
         &self,
         tokens: &Tensor,
@@ -135,7 +135,7 @@ impl Upscale {
 pub(crate) struct Decoded {
     /// Logits of the single mask and of the three for an ambiguous prompt, (4, side · side).
     pub(crate) masks: Tensor,
-    /// Predicted quality of each, in 0..1.
+    /// Predicted quality of each mask, in 0..1.
     pub(crate) iou: Vec<f32>,
     /// The masks' tokens, (4, c).
     pub(crate) tokens: Tensor,
@@ -189,8 +189,8 @@ impl MaskDecoder {
         })
     }
 
-    /// Decodes masks for one prompt (tokens, c) on image features (side · side, c), conditioned on memories or
-    /// their absence; `no_mask` (c) replaces the missing mask prompt, `places` are the positions' encodings.
+    /// Decodes masks for one prompt (tokens, c) on image features (side · side, c), conditioned on memories or their
+    /// absence. `no_mask` (c) replaces the missing mask prompt; `places` are the encodings of the positions.
     pub(crate) fn forward(
         &self,
         features: &ImageFeatures,
@@ -241,8 +241,8 @@ pub(crate) struct SelectedMask {
 }
 
 impl Decoded {
-    /// Selects on a prompted frame: the single mask if it is stable, else the best of the others; the pointer is
-    /// the single mask's in both cases.
+    /// Selects on a prompted frame: the single mask if it is stable, else the best of the others. The pointer always
+    /// comes from the single mask.
     pub(crate) fn single(&self, config: &DecoderConfig) -> Result<SelectedMask> {
         let logits = self.masks.get(0)?.to_vec1::<f32>()?;
         let delta = config.dynamic_multimask_stability_delta;
@@ -258,7 +258,7 @@ impl Decoded {
         SelectedMask { mask: self.best(), token: self.best() }
     }
 
-    /// Returns the best of the masks other than the single one; the first of equals.
+    /// Returns the best of the masks other than the single one (the first of equals).
     fn best(&self) -> usize {
         (1..self.iou.len()).fold(1, |best, i| if self.iou[i] > self.iou[best] { i } else { best })
     }

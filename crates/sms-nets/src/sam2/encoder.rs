@@ -140,7 +140,7 @@ impl Encoder {
         for stage in 0..stages {
             for i in 0..hiera.blocks_per_stage[stage] {
                 let opens = stage > 0 && i == 0;
-                // A stage's first block still has the windows of the stage before.
+                // The first block of a stage still has the windows of the previous stage.
                 let window = hiera.window_size_per_stage[if opens { stage - 1 } else { stage }];
                 let size = (if opens { dims[stage - 1] } else { dims[stage] }, dims[stage]);
                 let global = hiera.global_attention_blocks.contains(&blocks.len());
@@ -228,7 +228,8 @@ impl Encoder {
     }
 }
 
-/// Returns the coarse embedding enlarged to the map, plus the window's repeated over it: (1, side, side, c).
+/// Returns the coarse embedding enlarged to the map, plus the window embedding repeated over the map: (1, side, side,
+/// c).
 fn positions(
     coarse: &Tensor,
     from: [usize; 2],

@@ -31,7 +31,7 @@ impl RotaryAttention {
         })
     }
 
-    /// `q` (n, c); `k`, `v` (m, keys), of which the last `unturned` have no place on the grid.
+    /// `q` (n, c); `k`, `v` (m, keys), of which the last `unturned` have no position on the grid.
     fn forward(
         &self,
         q: &Tensor,
@@ -96,7 +96,7 @@ impl MemoryAttention {
         })
     }
 
-    /// `features` (tokens, c), `memory` and its positions (m, memory channels), the last `pointers` of which are object
+    /// `features` (tokens, c); `memory` and its positions (m, memory channels), of which the last `pointers` are object
     /// pointers.
     pub(crate) fn forward(
         &self,

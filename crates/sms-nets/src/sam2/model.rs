@@ -54,7 +54,8 @@ pub struct Sam2 {
     pub(crate) pointer_times: Linear,
     pub(crate) no_pointer: Tensor,
     pub(crate) occluded: Tensor,
-    /// For memories 1 frame old, 2 frames old, …, and last for the prompted frame: (memories, memory channels).
+    /// Encodings for memories 1 frame old, 2 frames old, …, and last for the prompted frame: (memories, memory
+    /// channels).
     pub(crate) memory_times: Tensor,
     pub(crate) places: Tensor,
     no_memory: Tensor,
@@ -69,7 +70,7 @@ impl Sam2 {
     pub fn new(config: &Sam2Config, weights: &Weights) -> std::result::Result<Self, NetsError> {
         let (c, memory) = (config.hidden(), config.memory_encoder_output_channels);
         let shared = weights.tensor("shared_image_embedding.positional_embedding", &[2, c / 2])?;
-        // Prompts by boxes do not use these; reading them detects files without them.
+        // Box prompts do not use these tensors; reading them detects files without them.
         weights.tensor("no_memory_positional_encoding", &[1, 1, c])?;
         weights.tensor("mask_downsample.weight", &[1, 1, 4, 4])?;
         weights.tensor("mask_downsample.bias", &[1])?;
@@ -116,7 +117,8 @@ impl Sam2 {
         [bbox.x0 * sx, bbox.y0 * sy, bbox.x1 * sx, bbox.y1 * sy]
     }
 
-    /// Returns features of one image from [`super::pixel_values`]; the costly part, the same for all objects.
+    /// Returns features of one image from [`super::pixel_values`]. This is the costly part, and it is shared by all
+    /// objects.
     ///
     /// # Errors
     /// If the device fails, or the image has the wrong size.

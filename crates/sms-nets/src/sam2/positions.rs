@@ -65,7 +65,7 @@ impl Rotary {
         Ok(Self { cos: angles.cos()?, sin: angles.sin()? })
     }
 
-    /// Rotates tokens (n, c). If there are more of them than cells, the grid repeats; the last `unturned` remain
+    /// Rotates tokens (n, c). If there are more tokens than cells, the grid repeats. The last `unturned` tokens remain
     /// unchanged.
     pub(crate) fn turn(&self, x: &Tensor, unturned: usize) -> Result<Tensor> {
         let (n, c) = x.dims2()?;
@@ -183,14 +183,14 @@ mod tests {
         assert_ne!(x[1], y[1]);
     }
 
-    /// The path of GPUs: in double precision, which the CPU kernel does not accept.
+    /// The code path for GPUs, in double precision, which the CPU kernel does not accept.
     #[test]
     fn without_our_kernel_the_rotation_is_the_same() {
         let rotary = Rotary::new(3, 8, 10_000.0, &Device::Cpu).unwrap();
         let double = |x: &Tensor| x.to_dtype(DType::F64).unwrap();
         let exact = Rotary { cos: double(&rotary.cos), sin: double(&rotary.sin) };
         let x = Tensor::randn(0f32, 1.0, (2 * 9 + 2, 16), &Device::Cpu).unwrap();
-        // The second head of two, and memories with and without pointers.
+        // Channels of the second of two heads, first as memories without pointers, then with pointers.
         let x = x.narrow(1, 8, 8).unwrap();
         for (n, unturned) in [(20, 2), (18, 0)] {
             let x = x.narrow(0, 0, n).unwrap();

@@ -12,8 +12,8 @@ const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
 /// Returns the image resized to `side` × `side` pixels, without preserving its aspect ratio, and normalized: (1, 3,
 /// `side`, `side`).
 ///
-/// Bilinear with antialiasing (a triangle as wide as the reduction factor), in bytes: rows first, rounded to bytes,
-/// then columns, with weights of 15 bits, bit for bit as Pillow and PyTorch do.
+/// Resizing is bilinear with antialiasing (a triangle filter as wide as the reduction factor), on bytes: rows first,
+/// rounded to bytes, then columns, with weights of 15 bits. The result is bitwise equal to that of Pillow and PyTorch.
 ///
 /// # Errors
 /// If the device has too little memory.

@@ -26,7 +26,7 @@ impl PromptEncoder {
     ) -> std::result::Result<Self, NetsError> {
         let c = config.hidden();
         let at = weights.at("prompt_encoder");
-        // Mask prompts are not used; reading these detects files without them.
+        // Mask prompts are not used; reading their tensors detects files without them.
         let mask = at.at("mask_embed");
         for (name, shape) in [("conv1", [4, 1, 2, 2]), ("conv2", [16, 4, 2, 2]), ("conv3", [c, 16, 1, 1])] {
             mask.at(name).tensor("weight", &shape)?;
@@ -45,7 +45,7 @@ impl PromptEncoder {
 
     /// Returns the tokens of a box, in model pixels: its two corners and a padding point, (3, c).
     pub(crate) fn of_box(&self, [x0, y0, x1, y1]: [f64; 4], device: &Device) -> Result<Tensor> {
-        // Half a pixel: prompts give pixels, the encoding takes their centres.
+        // Prompts are pixel indices, but the encoding uses pixel centres, half a pixel farther.
         let at = |v: f64| ((v + 0.5) / self.image_size) as f32;
         let corners = Tensor::new(&[[at(x0), at(y0)], [at(x1), at(y1)]], device)?;
         let corners = (fourier(&corners, &self.frequencies)? + self.points.narrow(0, 2, 2)?)?;

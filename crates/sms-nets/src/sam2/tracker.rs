@@ -40,7 +40,7 @@ pub struct Tracker<'a> {
 impl<'a> Tracker<'a> {
     /// Starts tracking the objects in `boxes` on the first of `frames` frames of `size` (width, height) pixels.
     ///
-    /// The number of frames is part of the computation: ages of pointers are relative to the largest possible age.
+    /// The number of frames affects the result, because ages of pointers are relative to the largest possible age.
     pub fn new(model: &'a Sam2, boxes: &[PixelBox], size: (usize, usize), frames: usize) -> Self {
         let boxes: Vec<_> = boxes.iter().map(|b| model.box_prompt(b, size)).collect();
         let banks = boxes.iter().map(|_| Bank::default()).collect();
@@ -148,7 +148,7 @@ impl<'a> Tracker<'a> {
         Ok((memory, input))
     }
 
-    /// Stores a memory of the current frame and drops those too old for attention.
+    /// Stores a memory of the current frame and drops memories that are too old for attention.
     fn keep(&mut self, object: usize, memory: Memory) {
         let config = &self.model.config;
         let (frame, bank) = (self.frame, &mut self.banks[object]);
@@ -183,7 +183,7 @@ impl<'a> Tracker<'a> {
             }
             Ok(())
         };
-        // The prompted frame first, with the last of the times, then from the oldest to the newest.
+        // The prompted frame comes first, with the last of the times, then the others from the oldest to the newest.
         add(bank.frames.get(&bank.prompted), last)?;
         let tracked = |age: usize| {
             let at = frame.checked_sub(age).filter(|&at| at != bank.prompted)?;
@@ -196,7 +196,7 @@ impl<'a> Tracker<'a> {
         let mut pointers: Vec<(usize, &Tensor)> = Vec::new();
         pointers.extend(bank.frames.get(&bank.prompted).map(|m| (frame - bank.prompted, &m.pointer)));
         pointers.extend((1..most).filter_map(|age| Some((age, &tracked(age)?.pointer))));
-        // A pointer has the channels of several memory tokens, and is split into them.
+        // A pointer has the channels of several memory tokens, so it is split.
         let channels = config.memory_encoder_output_channels;
         let split = config.hidden() / channels;
         let ages: Vec<f32> = pointers.iter().map(|&(age, _)| age as f32 / (most.max(2) - 1) as f32).collect();

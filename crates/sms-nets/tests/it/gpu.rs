@@ -1,4 +1,4 @@
-//! The full-size networks on a GPU against the CPU, with random weights: unlike the small fixtures, they use the
+//! The full-size networks with random weights on a GPU, compared with the CPU. Unlike the small fixtures, they use the
 //! kernels for large attention, many windows and long rows.
 
 use crate::support::{TOLERANCE, gpu};
@@ -31,7 +31,7 @@ fn gaps(ours: &Observed, theirs: &Observed) -> BTreeMap<String, f32> {
     assert!(ours.keys().eq(theirs.keys()) && !ours.is_empty());
     let gap = |(name, theirs): (&String, &Vec<f32>)| {
         let largest = theirs.iter().fold(1f32, |m, v| m.max(v.abs()));
-        // A NaN is a difference.
+        // A NaN counts as a difference.
         let worst = |worst: f32, d: f32| if d <= worst { worst } else { d };
         let gap = ours[name].iter().zip(theirs).map(|(a, b)| (a - b).abs()).fold(0f32, worst) / largest;
         println!("{gap:9.2e} of {largest:8.2} {name}");

@@ -1,4 +1,4 @@
-//! Downloads from a hub within the test, which drops connections, changes files and refuses requests.
+//! Downloads from a hub inside the test, which drops connections, changes files and refuses requests.
 
 use sha2::{Digest, Sha256};
 use sms_core::{Cancel, NoProgress};
@@ -43,9 +43,9 @@ enum Fault {
     Whole,
     /// Redirects to another server for the content.
     Elsewhere(String),
-    /// Redirects to another path of its own, with only the commit.
+    /// Redirects to another path on the same server, with only the commit.
     Moved,
-    /// Answers like any web server.
+    /// Answers like an ordinary web server.
     Plain,
 }
 
@@ -156,7 +156,7 @@ fn serve(mut stream: TcpStream, all: &Mutex<Vec<RecordedRequest>>, script: &Scri
     let file = path.rsplit('/').next().unwrap_or_default();
     let bytes = content(file);
     if method == "HEAD" {
-        // As the hub does for large files: its own description, and a redirection to the content.
+        // Like the hub for large files: a description, and a redirection to the content.
         let place = if let Fault::Elsewhere(url) = &fault { url.as_str() } else { "" };
         let sends_on = if file.ends_with("safetensors") {
             format!(
@@ -282,7 +282,7 @@ fn a_broken_download_is_resumed_by_the_next_run_even_without_ranges() {
         if a.method == "GET" && a.path.contains("cdn") {
             let mut gets = gets.lock().unwrap();
             *gets += 1;
-            // Then no more bytes.
+            // No more bytes afterwards.
             return Fault::Cut(if *gets <= 3 { 10_000 } else { 0 });
         }
         Fault::None

@@ -81,7 +81,7 @@ fn images_are_prepared_as_the_reference_does() {
         let ours = pixel_values(&image, 128, &Device::Cpu).unwrap().squeeze(0).unwrap();
         let gap = (ours - theirs.get(t).unwrap()).unwrap().abs().unwrap();
         let largest = gap.max_all().unwrap().to_scalar::<f32>().unwrap();
-        // All bytes are equal; normalization rounds.
+        // All bytes are equal; only normalization causes rounding.
         assert!(largest < 1e-6, "frame {t}: {largest}");
     }
 }
@@ -124,7 +124,7 @@ fn memories_in_f32_differ_from_the_librarys_rounded_ones_as_the_reference_says()
         let gap = (exact.tensor(&name) - rounded.tensor(&name)).unwrap().abs().unwrap();
         largest = largest.max(gap.to_dtype(DType::F32).unwrap().max_all().unwrap().to_scalar().unwrap());
     }
-    // The rounding is visible, so the comparison above uses the exact tensors.
+    // The effect of rounding is visible, so the comparison above uses the exact tensors.
     assert!(largest > 10.0 * TOLERANCE && largest < 1e-2, "{largest}");
 }
 
@@ -135,8 +135,8 @@ fn the_full_size_model_asks_for_exactly_the_released_parameters() {
     assert_eq!(weights.requested(), full_size("sam2.1-hiera-tiny"));
 }
 
-/// The larger models differ only in their encoders' sizes. Their configurations come from transformers' conversion
-/// script, the numbers of their parameters from the SAM 2 repository's README.
+/// The larger models differ only in the sizes of their encoders. Their configurations come from the conversion script
+/// of transformers, and their parameter counts from the README of the SAM 2 repository.
 #[test]
 fn the_larger_models_have_as_many_parameters_as_published() {
     let small = r#"{"blocks_per_stage": [1, 2, 11, 2], "global_attention_blocks": [7, 10, 13]}"#;

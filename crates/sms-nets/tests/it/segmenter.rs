@@ -1,5 +1,5 @@
-//! The whole path from a sequence to labels, with small random models: meaningless labels, but of the right form
-//! and reproducible; and errors for bad input.
+//! The whole path from a sequence to labels with small random models: the labels are meaningless, but well-formed and
+//! reproducible. Also errors for bad input.
 
 use crate::support::{data, devices, made_up};
 use glamx::{DPose3, DVec3};
@@ -23,7 +23,7 @@ fn folder(model: &str) -> tempfile::TempDir {
     } else {
         Sam2::new(&serde_json::from_slice::<Sam2Config>(&json).unwrap(), &names).unwrap();
     }
-    // Objects are predicted present.
+    // The weights make the model predict that objects are present.
     let folder = made_up(&names.requested(), 20_250_534, |name, values| {
         if name == "mask_decoder.pred_obj_score_head.proj_out.bias" {
             values.fill(2.0);
@@ -141,7 +141,7 @@ fn recorded(folder: &Path) -> Sequence {
         let small = crate::support::frame(t);
         let mut color = ColorImage::filled(300, 200, [0; 3]);
         for (i, pixel) in color.data.iter_mut().enumerate() {
-            // Detail that is lost at half size.
+            // Detail that disappears at half size.
             *pixel =
                 if (i + i / 300).is_multiple_of(2) { small[(i % 300 / 2, i / 600)] } else { [0, 255, 0] };
         }
@@ -203,7 +203,7 @@ fn missing_detections_foreign_and_long_queries_cause_warnings() {
     let warnings = Warnings::new();
     let labels = masks.segment(&sequence(2), StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
     assert!(labels.objects.is_empty() && labels.maps.len() == 2);
-    // With other objects found, missing ones are reported by name.
+    // If other objects are found, missing ones are reported by name.
     let by_hand = vec![named("ball", 22.0, 20.0, 59.0, 57.0)];
     let some = NetsMasks { boxes: by_hand, ..masks.clone() };
     let others = Warnings::new();

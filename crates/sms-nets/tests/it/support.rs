@@ -1,8 +1,8 @@
 //! Comparison with the reference tensors.
 //!
 //! The complete reference lies beside the repository (environment variable `SMS_TEST_REFERENCE`, by default
-//! `../shared/reference`); tests that need it are ignored by default. A small part of it is in `tests/data`, and
-//! its weights are generated from their names, so that the networks are compared everywhere.
+//! `../shared/reference`); tests that need it are ignored by default. A small part is in `tests/data`, with weights
+//! generated from their names, so that this comparison runs everywhere.
 //!
 //! Every comparison runs on the CPU and, in builds with the feature `cuda` or `metal`, on the GPU if there is one.
 //! `SMS_TEST_DEVICE=cpu|gpu` selects one of them; with `gpu`, a missing GPU is a failure.
@@ -91,7 +91,7 @@ impl Reference {
             |t: &Tensor| t.to_dtype(DType::F32).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
         let mut gap = 0f32;
         for (a, b) in flat(ours).into_iter().zip(flat(theirs)) {
-            // A NaN is a difference.
+            // A NaN counts as a difference.
             gap = if (a - b).abs() <= gap { gap } else { (a - b).abs() };
         }
         self.gaps.insert(name.to_owned(), gap);
@@ -130,8 +130,8 @@ pub(crate) fn full_size(model: &str) -> Shapes {
     rows.collect()
 }
 
-/// Generates the reference's weights: values depend only on a parameter's name, its shape and the seed. `patch`
-/// changes them afterwards. Returns a folder with them as `model.safetensors`.
+/// Generates the weights of the reference. Values depend only on a parameter's name, its shape and the seed; `patch`
+/// changes them afterwards. Returns a folder with these weights as `model.safetensors`.
 pub(crate) fn made_up(shapes: &Shapes, seed: u64, patch: impl Fn(&str, &mut [f64])) -> tempfile::TempDir {
     let mut tensors = HashMap::new();
     for (name, shape) in shapes {

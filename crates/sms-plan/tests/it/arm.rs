@@ -1,4 +1,4 @@
-//! Planning with the arm: strikes that it cannot make are counted and never chosen.
+//! Planning with the arm: strikes that the arm cannot execute are counted and never chosen.
 
 use crate::common::{ball, material, two_balls};
 use sms_core::glamx::{DPose3, DQuat, DVec3};
@@ -18,8 +18,8 @@ fn standing_at(x: f64) -> RobotConfig {
     RobotConfig { x_world_robot: Some(x_world_robot), ..RobotConfig::default() }
 }
 
-/// The two balls, and a wall at the cue ball's right hand, where the hand, however it is held, would have to be for
-/// shots to the left.
+/// The two balls, and a wall to the right of the cue ball. In any hold, the hand would collide with the wall in shots
+/// to the left.
 fn scene() -> Scene {
     let half = DVec3::new(0.1, 0.02, 0.2);
     let post = Body {
@@ -75,7 +75,7 @@ fn refused_strikes_are_counted_and_never_chosen() {
     let scene = scene();
     let task = task(&scene, -0.1);
     let outcome = run(&task, &scene, 1).unwrap();
-    // Another task of the same kind: nothing of the first one's sweeps is left.
+    // The plan is the same in a new task, without cached sweeps, and with two threads.
     let again = run(&self::task(&scene, -0.1), &scene, 2).unwrap();
     assert_eq!(outcome, again, "with one and two threads");
     let p = &outcome.plan;
@@ -84,7 +84,7 @@ fn refused_strikes_are_counted_and_never_chosen() {
     assert!(p.striker.contains("fr3") && p.robot.is_some());
     assert!(refused > 0 && refused < p.searched, "{refused} of {}", p.searched);
     assert!(p.refused.iter().any(|r| r.reason.contains("post")), "{:?}", p.refused);
-    // What a scan draws and the arm cannot make is not charged to it: it gets all of its rollouts.
+    // Infeasible draws do not count: the scan gets all of its rollouts.
     let screened: Vec<_> = outcome.trials.iter().filter(|t| t.phase == TrialPhase::Screen).collect();
     let scanned: Vec<_> =
         outcome.trials.iter().filter(|t| t.phase == TrialPhase::Perturbed && t.start == -1).collect();
@@ -96,7 +96,7 @@ fn refused_strikes_are_counted_and_never_chosen() {
     let in_search =
         outcome.trials.iter().filter(|t| matches!(t.phase, TrialPhase::Screen | TrialPhase::Search));
     let struck = in_search.clone().filter(|t| task.striker(&task.strike(&t.action)).is_err()).count();
-    // Where searches meet refusals, they are not charged for them.
+    // Searches do not pay for refused strikes.
     assert_eq!(struck, 0);
     let met: usize = p.starts.iter().map(|s| s.refused).sum();
     assert!(p.starts.iter().all(|s| s.objective.is_finite() && !s.is_out_of_reach()));
@@ -108,7 +108,7 @@ fn refused_strikes_are_counted_and_never_chosen() {
     let strike = task.strike(&p.action);
     assert!(matches!(task.striker(&strike), Ok(Striker::Arm(_))));
     assert!(p.objective < 0.03, "{}", p.objective);
-    // The plan's own robot makes the same strike of it.
+    // The plan's own robot executes the same strike.
     let same = self::task(&scene, 0.0).with_robot(p.robot.as_ref().unwrap(), &scene).unwrap();
     let [Ok(Striker::Arm(a)), Ok(Striker::Arm(b))] = [task.striker(&strike), same.striker(&strike)] else {
         panic!("both are arms")
@@ -145,7 +145,7 @@ fn refused_strikes_do_not_use_up_the_budget() {
         };
         (0..48).filter(can).count() as f64 / 48.0
     };
-    // The farther the robot stands, the less it can do.
+    // The number of feasible strikes decreases with the distance of the robot.
     let first_below = |from: f64, step: f64| {
         (0..30)
             .map(|k| from - step * f64::from(k))

@@ -1,4 +1,4 @@
-//! The paper's grid baseline, where its answers are known from geometry.
+//! The paper's grid baseline in cases with a known geometric solution.
 
 use crate::common::{RADIUS, two_balls};
 use sms_core::Mesh;
@@ -25,7 +25,7 @@ fn the_best_angle_of_the_grid_is_the_ghost_balls() {
         let expected = (ghost - DVec2::new(0.3, 0.0)).to_angle();
         let spacing = 20f64.to_radians() / 59.0;
         assert!((found.action.0[1] - expected).abs() <= 0.5 * spacing + 1e-9, "{found:?}, {expected}");
-        // Half a spacing turns the target ball by 0.3 / 0.06 as much or a little more.
+        // An error in the angle is amplified by about 0.3 / 0.06 in the direction of the target ball.
         assert!(found.predicted_m < 0.25 * 0.5 * spacing * 6.5, "{found:?}");
         assert_eq!((found.action.0.len(), &found.action.0[2..]), (4, &[0.0, 0.0][..]));
     }
@@ -48,7 +48,7 @@ fn obstacles_are_mapped_and_flat_things_are_not() {
         scene.bodies.push(wall);
         let found = GridBaseline::default().plan(&task(&scene, goal_w), &scene).unwrap();
         if blocks {
-            // The ball turns a radius before the wall, and no way round by the borders is short enough.
+            // The ball is reflected one radius before the wall, and no path along the borders is short enough.
             let nearest = 0.85 - (0.71 - RADIUS);
             assert!((found.predicted_m - nearest).abs() < 0.006, "{found:?}");
         } else {

@@ -1,7 +1,7 @@
 //! Integration tests of the planner, in one binary.
 
 mod arm;
-// The fixture of the task's tests serves the planner, too.
+// Fixture shared with the tests of tasks.
 #[path = "../../../sms-task/tests/it/common.rs"]
 mod common;
 mod grid;

@@ -1,4 +1,4 @@
-//! Nelder-Mead against SciPy (`oracle/nelder_mead.py` wrote the table), and its behaviour at bounds.
+//! Nelder-Mead, compared with SciPy (table from `oracle/nelder_mead.py`), and its behaviour at bounds.
 
 use proptest::prelude::*;
 use serde_json::Value;
@@ -84,7 +84,7 @@ fn visits_the_same_points_as_scipy() {
 
 #[test]
 fn a_restart_frees_a_simplex_that_collapsed_onto_a_bound() {
-    // The slope along x presses the whole simplex onto x = 0, where y can no longer be searched freely.
+    // The slope along x collapses the simplex onto x = 0, where it can hardly search along y.
     let valley = |x: &[f64]| Some(5.0 * x[0] + (x[1] - 0.8).abs() + 0.2 * (x[0] - x[1] + 0.8).abs());
     let start = [vec![0.02, 0.1]];
     let settings = NelderMead { max_iterations: 400, ..NelderMead::default() };

@@ -1,4 +1,4 @@
-//! Planning on a table whose answers are known from geometry.
+//! Planning on a table with known geometric solutions.
 
 use crate::common::{RADIUS, material, two_balls};
 use sms_core::glamx::{DPose3, DVec2, DVec3};
@@ -50,7 +50,7 @@ fn run(task: &ResolvedTask, config: &PlanConfig, warnings: &Warnings) -> Result<
     )
 }
 
-/// The angle that sends the target ball, without throw, towards a goal: at the ghost ball.
+/// Returns the angle that sends the target ball, without throw, towards a goal: aimed at the ghost ball.
 fn ghost_angle(goal_w: DVec2) -> f64 {
     let (cue, target) = (DVec2::new(0.3, 0.0), DVec2::new(0.6, 0.0));
     let ghost = target - (goal_w - target).normalize() * 2.0 * RADIUS;
@@ -67,7 +67,8 @@ fn a_straight_shot_and_a_cut_shot_are_those_of_geometry() {
         let plan = &outcome.plan;
         assert!(plan.objective < 0.01, "{} m at a cut of {turn} rad", plan.objective);
         assert_eq!(warnings.snapshot().iter().filter(|w| w.code == "no_good_shot").count(), 0);
-        // A miss of 1 cm at 0.25 m turns the target ball by 2.3°, and the cue ball by a fifth of that or less.
+        // A miss of 1 cm at 0.25 m is a direction error of the target ball of 2.3°, and of the cue ball of at most a
+        // fifth of this.
         let error = plan.action.0[1] - ghost_angle(goal_w);
         assert!(error.abs() < 0.5f64.to_radians(), "{:.3}° off at a cut of {turn} rad", error.to_degrees());
         assert!(plan.objective_q90 >= plan.objective && plan.objective_q90 < 0.1, "{}", plan.objective_q90);
@@ -111,7 +112,7 @@ fn the_same_bytes(method: Method) {
         save_plan(&folder, &outcome).unwrap();
         assert_eq!(load_plan(&folder).unwrap(), outcome.plan);
         assert_eq!(read_trials(&folder.join("trials.parquet")).unwrap(), outcome.trials);
-        // All rollouts are logged but the last one, which is the recorded motion.
+        // All rollouts are logged except the last one, which is the recorded motion.
         assert_eq!(outcome.trials.len() + 1, outcome.plan.evaluations);
         assert_eq!(outcome.metrics().number("plan.objective"), Some(outcome.plan.objective));
         folders.push(folder);
@@ -129,7 +130,7 @@ fn an_unreachable_goal_is_a_warning() {
     let warnings = Warnings::new();
     let small = PlanConfig { evaluations: 40, ..config() };
     let outcome = run(&task, &small, &warnings).unwrap();
-    // Nothing brings the target ball nearer than it already is.
+    // No shot moves the target ball closer than its start.
     assert!((outcome.plan.objective - 0.8).abs() < 1e-3, "{}", outcome.plan.objective);
     assert!(warnings.snapshot().iter().any(|w| w.code == "no_good_shot" && w.message.contains("80.0 cm")));
 }
@@ -151,7 +152,7 @@ fn a_poor_search_restarts_from_other_points() {
         points.dedup();
         (count, points.len())
     };
-    // Behind the cue ball: no shot comes near, and three searches with their own points are made in place of one.
+    // Behind the cue ball no shot comes close, so three searches with different points replace one.
     let behind = DVec2::new(-0.2, 0.0);
     let (once, thrice) = (searched(behind, 0), searched(behind, 2));
     assert!(once.0 <= 40 && thrice.0 > 2 * once.0, "{once:?}, {thrice:?}");
@@ -223,12 +224,13 @@ fn a_plan_reports_its_distribution_and_sensitivities() {
     assert_eq!(plan.strategies[0].name, "direct");
     let shares: f64 = plan.sensitivities.iter().map(|s| s.share).sum();
     assert!((shares - 1.0).abs() < 1e-9, "{:?}", plan.sensitivities);
-    // Without friction between the balls the target leaves along the line of centres: a millimetre across it turns the
-    // path by 1/57, the strike's 2 mrad over 0.24 m turn it by half of that, and materials hardly do.
+    // Without friction between the balls, the target leaves along the line of centres. A millimetre across this line
+    // changes its direction by 1/57, and 2 mrad of the strike over 0.24 m by half as much. Materials have hardly any
+    // effect.
     let share = |u: Unknown| plan.sensitivities.iter().find(|s| s.unknown == u).map_or(0.0, |s| s.share);
     let places = share(Unknown::Pose { body: "cue".into() }) + share(Unknown::Pose { body: "blue".into() });
     assert!(places > 0.5, "{:?}", plan.sensitivities);
-    // One way to the goal, and nothing that it relies on.
+    // There is only one strategy, and it relies on no other body.
     assert_eq!(plan.strategies[0].outcomes.iter().flatten().count(), 6);
     assert_eq!(plan.strategies[0].as_named_share, Some(1.0));
     assert!(plan.reasons.iter().all(|r| r.counterfactual.is_none()), "{:?}", plan.reasons);
@@ -339,14 +341,15 @@ fn where_a_post_is_in_the_way_the_strategy_is_a_rebound_off_the_wall() {
 
 #[test]
 fn in_its_worlds_the_choice_beats_the_nominally_best_shot() {
-    // Off the wall, errors grow with every touch: what is best in one world is not in many.
+    // With rebounds off the wall, errors grow with every contact: the best action in one world is not the best in many.
     let (scene, task) = behind_the_post();
     let wide = Perturbation { position_m: 0.002, worlds: 12, ..Perturbation::default() };
     let robust =
         PlanConfig { evaluations: 200, starts: 8, candidates: 24, perturbation: wide.clone(), ..config() };
     let nominal = PlanConfig { perturbation: Perturbation { worlds: 0, ..wide.clone() }, ..robust.clone() };
-    // In the worlds in which the planner with this seed chose: 12, and 12 again for the best. That is what the choice
-    // is for; what it is worth in unseen worlds takes more than one scene and is measured by `sms-experiments robust`.
+    // Evaluated in the worlds of the planner's choice with this seed: 12, and 12 more for the best. These are the
+    // worlds that the choice optimises. Unseen worlds need more than one scene and are tested by `sms-experiments
+    // robust`.
     let mean = |config: &PlanConfig| {
         let (progress, cancel, warnings) = (NoProgress, Cancel::new(), Warnings::new());
         let factory = RapierFactory;
@@ -390,7 +393,7 @@ fn plans_of_earlier_versions_read() {
     assert!(read.refused.is_empty() && read.reasons.is_empty() && read.robot.is_none());
     assert_eq!((read.searched, read.striker.as_str()), (0, ""));
     assert!(read.refused_text().is_none());
-    // Of the version before this one: predictions and strategies without refused strikes.
+    // A plan of the previous version: predictions and strategies without refused strikes.
     let mut json = serde_json::to_value(&outcome.plan).unwrap();
     assert!(json["predicted"].as_object_mut().unwrap().remove("refused").is_some());
     for strategy in json["strategies"].as_array_mut().unwrap() {

@@ -108,7 +108,7 @@ fn more_energy_than_the_finger_can_give_is_noticed_during_the_sweep() {
     let (mut simulation, bodies, mut checks, time_s) = checked_strike(0.3);
     assert!(!simulation.is_strike_over());
     let mut state = simulation.state(bodies.target);
-    // Away from everything: only the energy is wrong.
+    // Away from other bodies: only the energy is wrong.
     state.v_w += DVec3::new(0.0, 0.0, 5.0);
     simulation.set_state(bodies.target, &state);
     let error = checks.check(time_s, &simulation, &bodies).unwrap_err();
@@ -133,7 +133,7 @@ fn block(name: &str, kind: BodyKind, center_w: DVec3, half: DVec3) -> Body {
 fn a_body_that_sinks_into_the_floor_a_hull_or_a_mesh_is_noticed() {
     let cube = DVec3::splat(0.03);
     let crate_ = block("crate", BodyKind::Dynamic, DVec3::new(0.9, 0.0, 0.03), cube);
-    // In the plate's height, and beside it.
+    // At the height of the plate, and beside it.
     let plate = DVec3::new(0.2, 0.2, 0.04);
     let post = Body { mass: None, ..block("post", BodyKind::Static, DVec3::new(0.9, 0.6, 0.04), plate) };
     let mesh = BodyShape::TriMesh { mesh: Mesh::cuboid(plate) };
@@ -154,7 +154,7 @@ fn a_body_that_sinks_into_the_floor_a_hull_or_a_mesh_is_noticed() {
     for (k, good) in fine.into_iter().enumerate() {
         simulation.set_state(id, &at(good));
         checks.check(0.1, &simulation, &bodies).unwrap();
-        // 20 mm farther in.
+        // 20 mm deeper.
         let into = [DVec3::NEG_Z, DVec3::Y, DVec3::NEG_Y][k];
         simulation.set_state(id, &at(good + 0.02 * into));
         let error = checks.check(0.1, &simulation, &bodies).unwrap_err();

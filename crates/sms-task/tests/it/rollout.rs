@@ -133,14 +133,14 @@ fn a_prepared_world_sleeps_in_place_and_rolls_like_a_fresh_one() {
 #[test]
 fn a_cut_shot_leaves_along_the_line_of_centres() {
     let scene = two_balls();
-    // Aim 30° off: the ghost ball touches the target ball opposite to that direction.
+    // Aim 30° off: the ghost ball touches the target ball on the opposite side.
     let turn = 30.0f64.to_radians();
     let ghost = DVec2::new(0.6, 0.0) - DVec2::from_angle(turn) * 2.0 * RADIUS;
     let angle = (ghost - DVec2::new(0.3, 0.0)).to_angle();
     let goal_w = DVec2::new(0.6, 0.0) + DVec2::from_angle(turn) * 0.2;
     let task = task_in(&scene, goal_w, ActionForm::SpeedAngle);
     let hit = roll(&task, &scene, &[0.7, angle], None);
-    // 0.5° of the target ball's direction.
+    // 0.5° error of the target ball's direction.
     assert!(hit.objective < 0.2 * 0.5f64.to_radians(), "{} mm", 1e3 * hit.objective);
 }
 
@@ -168,7 +168,7 @@ fn a_target_world_with_other_names_carries_out_the_same_motion() {
     let task = task_in(&scene, DVec2::new(0.8, 0.02), ActionForm::SpeedAngleContact);
     let motion = task.strike(&Action(vec![0.6, -0.02, 0.0, 0.0]));
     let here = roll(&task, &scene, &[0.6, -0.02, 0.0, 0.0], None);
-    // The true world: another order, other names, one more body far away.
+    // The true world has another order, other names, and one more distant body.
     let mut truth = scene.clone();
     truth.bodies.swap(1, 2);
     truth.bodies[1].name = "ball_07".into();
@@ -233,7 +233,7 @@ fn a_goal_that_no_ball_can_reach_is_refused_with_the_reason() {
     for part in ["goal_w", "`block`", "50 mm", "cure"] {
         assert!(message.contains(part), "{part}: {message}");
     }
-    // 10 mm within its surface: the centre comes as near as 39 mm.
+    // 10 mm within the surface of the goal's disc: the centre comes as close as 39 mm.
     assert!(resolve(&scene, [0.76, 0.0]).is_ok());
     // An infinite floor has no other limits; a table has edges.
     assert!(resolve(&scene, [1.6, 0.9]).is_ok());

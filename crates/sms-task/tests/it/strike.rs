@@ -1,4 +1,4 @@
-//! Tasks stated as terms, on a table with an edge.
+//! Tasks with terms, on a table with an edge.
 
 use crate::common::{RADIUS, ball, material, two_balls};
 use sms_core::glamx::{DPose3, DVec3};
@@ -90,7 +90,7 @@ fn the_box_is_pushed_off_the_table_and_the_mug_stays() {
     let objective = |speed: f64, angle: f64| roll(&task, &scene, &[speed, angle], None).objective;
     let straight = objective(0.8, 0.0);
     assert!(straight < 1e-6 && task.is_success(straight), "{straight}");
-    // Too slow: it stays on the table. Turned towards the mug: the mug moves.
+    // Too slow: the box stays on the table. Rotated towards the mug: the mug moves.
     assert!(objective(0.2, 0.0) > 0.2);
     let towards_mug = objective(0.8, 0.6);
     assert!(towards_mug > 0.01, "{towards_mug}");
@@ -138,14 +138,14 @@ fn a_mug_is_toppled_and_what_keeps_out_of_a_place_costs_nothing() {
     .unwrap();
     assert_eq!(topple.target().name, "mug");
     assert!((topple.initial_objective() - 0.1).abs() < 1e-12);
-    // The angle 0 goes to the mug. A slow push moves it and leaves it standing.
+    // The angle 0 points to the mug. A slow push moves the mug without toppling it.
     let slow = roll(&topple, &scene, &[0.25, 0.0], None).objective;
     let fast = roll(&topple, &scene, &[2.0, 0.0], None).objective;
     println!("slow {slow:.4}, fast {fast:.4}");
     assert!(slow > 0.08 && fast < 0.02, "{slow} {fast}");
 }
 
-/// Billiards expressed by terms equals billiards.
+/// A ball task expressed by terms equals billiards.
 #[test]
 fn reaching_with_a_ball_is_the_billiards_objective() {
     let scene = two_balls();
