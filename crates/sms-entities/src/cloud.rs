@@ -29,7 +29,7 @@ pub(crate) fn coarse_spacing(config: &EntitiesConfig) -> f64 {
     1.0 / config.density_per_m2.max(100.0).sqrt()
 }
 
-/// Returns the distance between neighbouring points that spends the point budget on the surface covered by the discs.
+/// Returns the point distance at which the point budget covers the surface of the discs.
 pub(crate) fn spacing(discs: &[SurfaceDisc], config: &EntitiesConfig) -> f64 {
     let coarse = coarse_spacing(config);
     let points: Vec<DVec3> = discs.iter().map(|d| d.center).collect();

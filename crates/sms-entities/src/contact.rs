@@ -9,9 +9,9 @@ use sms_core::{Entity, EntityKind, Mesh};
 /// If this much overlap remains after cutting, a piece is dropped, metres.
 const GIVE_UP: f64 = 0.001;
 
-/// Two pieces overlap at a contact face if their normal is close to vertical (least cosine) and the middle of their
-/// overlap is close to the height of the face (largest distance, metres).
+/// Smallest cosine between the vertical and the normal of two pieces that overlap at a contact face.
 const ALONG: f64 = 0.8;
+/// Largest distance between the middle of such an overlap and the height of the face, metres.
 const AT_FACE_M: f64 = 0.02;
 
 /// Two overlapping objects, by index, and the depth of the overlap (metres).

@@ -29,19 +29,19 @@ const FEWEST: usize = 30;
 /// The foot of a carrier is flattened if all its corners are within this distance of the floor, metres. A foot that is
 /// uneven by a millimetre tilts the stack.
 const FOOT_M: f64 = 0.0035;
-/// Masks lose a strip above the floor. A side that was seen below this height, and within this distance of a corner
-/// (metres), is continued to the floor.
+/// A side seen below this height continues to the floor, because masks lose a strip above the floor, metres.
 const STRIP_M: f64 = 0.012;
+/// Largest distance of such a side from a corner, metres.
 const NEAR_M: f64 = 0.01;
-/// A face is level if four fifths of its points lie within this height, metres, or within this distance of a plane with
-/// less than this tilt, radians. A strip seen at a grazing angle appears tilted.
+/// Four fifths of the points of a level face lie within this height, metres.
 const LEVEL_M: f64 = 0.004;
+/// Or they lie within this height of a plane with a tilt below this, radians: grazing views make strips appear tilted.
 const LEANS: f64 = 0.05;
 /// A narrower support is an edge instead of a face, metres.
 const FACE_M: f64 = 0.01;
-/// A foot is flat if its part within this height of the lowest corner, metres, has at least this share of the width
-/// within [`REACH_M`]. Scans are uneven by two millimetres, and the share of a ball is 0.7.
+/// Height range above the lowest corner that is measured for the flatness of a foot, metres.
 const LOWEST_M: f64 = 0.0022;
+/// Smallest share of the width within [`REACH_M`] that a flat foot has within [`LOWEST_M`]. A ball has 0.7.
 const FLAT_SHARE: f64 = 0.85;
 /// A piece was seen beside the object on it if it reaches farther than this outside the object's outline, metres.
 const BESIDE_M: f64 = 0.001;

@@ -13,7 +13,7 @@ use sms_mesh::{
     quantile,
 };
 
-/// Corners of a lid.
+/// Number of corners of a lid.
 const CORNERS: usize = 24;
 /// Smallest number of points that determine an edge.
 const FEWEST: usize = 30;
@@ -24,10 +24,9 @@ const THICK_M: f64 = 0.01;
 const STRIP_M: f64 = 0.012;
 /// Height range of the sides that are used, below their upper end, metres.
 const SIDES_M: f64 = 0.008;
-/// Unlabelled sides up to this far below the face belong to the carrier if they are this close to the object on it,
-/// metres. Masks may lose a whole flared rim in the shade, and the rim's edge is farther from the wall below it than
-/// from the face.
+/// Unlabelled sides up to this far below the face belong to the carrier, metres: masks may lose a whole flared rim.
 const LOST_M: f64 = 0.03;
+/// Largest distance of such sides from the carrier's labelled surface, metres: a flared rim is far from the wall below.
 const FLARED_M: f64 = 0.045;
 /// Unlabelled sides that face the object are excluded (cosine of the angle between).
 const BACK: f64 = 0.5;
@@ -41,10 +40,11 @@ const NEAR_M: f64 = 0.02;
 const FACES: f64 = 0.5;
 /// A top within this distance of the object on it carries it after settling, metres.
 const TOUCH_M: f64 = 1e-3;
-/// Largest distances by which a contact face may end before the seen edge or extend beyond it, metres; beyond the last
-/// limit it is not a bulge.
+/// A contact face is too small if it ends more than this before the seen edge, metres.
 const MISSING_M: f64 = 0.008;
+/// A contact face is too large if it extends more than this beyond the seen edge, metres.
 const EXCESS_M: f64 = 0.004;
+/// A part that extends more than this beyond the seen edge is not a bulge, metres.
 const UNSEEN_M: f64 = 0.06;
 /// Distance by which tops beyond the edge are lowered, metres: a structure that tilts by as much has tipped.
 const LOWERED_M: f64 = 0.0015;

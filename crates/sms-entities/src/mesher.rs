@@ -26,9 +26,9 @@ pub(crate) enum MeshPath {
 
 /// Weight of the cut's faces against the votes. Each of the four corners has at most one vote.
 const STIFFNESS: f64 = 0.7;
-/// Vote against a tetrahedron for each camera that sees through its centre, and the largest number of cameras that
-/// count.
+/// Vote against a tetrahedron for each camera that sees through its centre.
 const FREE_VOTE: f64 = 1.5;
+/// Largest number of cameras that vote against a tetrahedron.
 const FREE_MOST: usize = 4;
 
 /// Surface points of an object: seen points, and the contact points that close the surface.

@@ -228,15 +228,17 @@ pub(crate) fn find_rest(
     rest(if is_level { level } else { plane }, Carrier::Object(most), &members)
 }
 
-/// Limits for a level top. Half of its points lie within this height of their middle, metres, and its tilt is less than
-/// this, radians. A top that was seen in this number of directions is level unless its points scatter more than this
-/// many times less about the tilted plane. A top that was seen as a strip on few sides is level if its tilt is less
-/// than the last value.
+/// Largest median height of the points of a level top above or below their middle, metres.
 const LEVEL_M: f64 = 0.002;
+/// Largest tilt of a level top seen on all sides, radians.
 const LEANS: f64 = 0.09;
+/// Smallest number of directions in which a top is seen on all sides.
 const ALL_ROUND: usize = 6;
+/// A top seen on all sides is tilted if its points scatter this many times more about the level plane.
 const CLEARER: f64 = 1.5;
+/// Smallest scatter for this comparison, metres.
 const NOISE_M: f64 = 5e-4;
+/// Largest tilt of a level top seen as a strip on few sides, radians.
 const STRIP_LEANS: f64 = 0.2;
 
 /// Returns the object below a foot if cameras see only the sides of that object (an open bin under a board), and the
@@ -307,11 +309,13 @@ fn lower_end(points: &[DVec3]) -> f64 {
     median(heights.into_iter().filter(|&z| bin(z) == first as f64).collect())
 }
 
-/// Sides of a carrier are searched this far below an object's end, and must end within these distances below and above
-/// it, metres. The object's foot must be larger than their outline by this factor.
+/// Depth below an object's lower end to which sides of a carrier are searched, metres.
 const SIDES_M: f64 = 0.04;
+/// Largest distance of the carrier's upper end below the object's lower end, metres.
 const STRIP_M: f64 = 0.012;
+/// Largest distance of the carrier's upper end above the object's lower end, metres.
 const ENDS_M: f64 = 0.005;
+/// Smallest ratio of the area of the object's foot to that of the outline of the sides.
 const WIDER: f64 = 1.5;
 /// Surface that faces up or down by less than this may be a side (cosine of the angle to the vertical). A more level
 /// surface is the table beside an object, or the underside of its load.

@@ -114,11 +114,11 @@ pub(crate) fn return_sides(drafts: &mut [Draft]) {
     }
 }
 
-/// Points belong to an object's underside if they are at most this far below and above its supporting face, metres,
-/// have normals at least this close to straight down (cosine), and lie within the object's outline from above or this
-/// close to it, metres.
+/// Largest distances of underside points below and above the supporting face, metres.
 const UNDERSIDE_M: [f64; 2] = [0.0025, 0.004];
+/// Smallest cosine between the normal of an underside point and straight down.
 const LOOKS_DOWN: f64 = 0.8;
+/// Largest horizontal distance of an underside point from the object's outline, metres.
 const BESIDE_M: f64 = 0.01;
 /// Points this close to an upward surface of the carrier are excluded, metres.
 const SHEET_M: f64 = 0.008;

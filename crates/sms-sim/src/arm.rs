@@ -76,7 +76,7 @@ impl ArmInWorld {
         self.acceleration_w = self.drive.tool_acceleration();
     }
 
-    /// Advances the arm to `until_s` seconds after its start and passes the tool to the engine for that step of `dt`.
+    /// Advances the arm to `until_s` seconds after its start and passes the tool to the engine for a step of `dt`.
     pub(crate) fn before_step(&mut self, world: &mut dyn World, body: BodyId, until_s: f64, dt: f64) {
         let from = self.state.x_wb;
         self.mass = match self.touch {

@@ -408,7 +408,7 @@ impl Schedule<'_> {
         count.min(seconds.map_or(1.0, |s| moment / s) as usize).max(1)
     }
 
-    /// Takes them. The next slot's frame is added meanwhile.
+    /// Takes the steps of these batches. The next slot's frame is added meanwhile.
     fn certain_batches(&mut self, limit: usize, stop: &StopConfig) -> Result<(), ScanError> {
         let (began, count, batch) = (Instant::now(), self.certain(limit, stop), self.batch());
         let of_batch = |i: usize| self.batch_at(self.place.step + i * batch);

@@ -241,7 +241,7 @@ impl Bodies<'_> {
         let contrast = s.shared_contrast(a, b);
         let bent = border.crease / border.pairs;
         let one = Seam::One(1.0 / (1.0 + contrast.unwrap_or(1.0)));
-        // A face is visible from an empty side. So a face that looks down is the underside of the segment above it.
+        // A face that looks down is the underside of the segment above it.
         let rests = |sheet: usize, other: usize| {
             self.is_underside(s, sheet) && below(other) && !self.is_underside(s, other)
         };

@@ -92,9 +92,9 @@ pub(crate) fn bodies(
 /// A piece longer than an object stands free if at most this share of it lies beside static surfaces.
 const TOUCHING: f64 = 0.1;
 
-/// A piece with less surface than this (m²), a cube of 13 mm, must be visible in this larger share of the frames: noise
-/// and rims of other objects seldom repeat in one place.
+/// A piece with less surface than this is small, m²: a cube of 13 mm.
 const SMALL_M2: f64 = 9e-4;
+/// Smallest share of frames that show a small piece: noise and rims of other objects seldom repeat in one place.
 const SMALL_SEEN: f64 = 0.5;
 
 /// Returns whether a piece has the size of an object, stands out from the planes around it, and is seen often enough.
@@ -203,10 +203,9 @@ fn split(
 /// shape leads.
 const LIGHTS: [f64; 2] = [15.0, 60.0];
 
-/// Large segments are connected by a thread (noise in a narrow gap) if their border is narrower than this
-/// ([`Segments::width`]) and hardly wider than the smaller segment. The legs of a stool join over several of their
-/// widths.
+/// Largest width ([`Segments::width`]) of a thread between large segments: noise in a narrow gap.
 const THREAD: f64 = 12.0;
+/// Largest ratio of its width to the smaller segment. The legs of a stool join over several of their widths.
 const THREAD_NECK: f64 = 1.2;
 
 /// A segment with less surface than this (m²) is a detail of its neighbours, regardless of colour.

@@ -96,7 +96,7 @@ fn refused_strikes_are_counted_and_never_chosen() {
     let in_search =
         outcome.trials.iter().filter(|t| matches!(t.phase, TrialPhase::Screen | TrialPhase::Search));
     let struck = in_search.clone().filter(|t| task.striker(&task.strike(&t.action)).is_err()).count();
-    // Searches do not pay for refused strikes.
+    // Refused strikes do not reduce the budget of searches.
     assert_eq!(struck, 0);
     let met: usize = p.starts.iter().map(|s| s.refused).sum();
     assert!(p.starts.iter().all(|s| s.objective.is_finite() && !s.is_out_of_reach()));

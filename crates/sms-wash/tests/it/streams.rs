@@ -128,7 +128,7 @@ fn the_speed_of_the_body_counts() {
     }
 }
 
-/// Air that meets the plate now was emitted earlier by the moving propeller: by height / exit speed.
+/// Air takes height / exit speed to reach the plate, and the propeller moves on meanwhile.
 #[test]
 fn the_wash_of_a_moving_vehicle_lags_behind() {
     let rotor = [sms_robots::Rotor { p_v: DVec3::ZERO, radius: 0.05 }];
