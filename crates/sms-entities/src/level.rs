@@ -35,7 +35,7 @@ const STRIP_M: f64 = 0.012;
 const NEAR_M: f64 = 0.01;
 /// Four fifths of the points of a level face lie within this height, metres.
 const LEVEL_M: f64 = 0.004;
-/// Or they lie within this height of a plane with a tilt below this, radians: grazing views make strips appear tilted.
+/// Largest apparent tilt of a level face, radians: a strip seen at a grazing angle appears tilted.
 const LEANS: f64 = 0.05;
 /// A narrower support is an edge instead of a face, metres.
 const FACE_M: f64 = 0.01;

@@ -93,10 +93,10 @@ pub struct RenderedMaps {
     pub color: Vec<[f32; 3]>,
     /// Accumulated opacity, 0..1.
     pub alpha: Vec<f32>,
-    /// Median depth in metres: that of the splat at which half of the accumulated opacity is reached; 0 where nothing is
-    /// visible. The mean depth, which training minimizes, lies between surfaces at silhouettes and behind faint splats.
-    /// On two sets of held-out views of noisy billiards scans, the mean absolute error was 2.3 and 2.1 mm (mean depth:
-    /// 2.9 and 2.5 mm), and 1.6 and 2.2 mm on objects (mean depth: 4.7 mm).
+    /// Median depth in metres: that of the splat at which half of the accumulated opacity is reached; 0 where nothing
+    /// is visible. The mean depth, which training minimizes, lies between surfaces at silhouettes and behind faint
+    /// splats. On two sets of held-out views of noisy billiards scans, the mean absolute error was 2.3 and 2.1 mm (mean
+    /// depth: 2.9 and 2.5 mm), and 1.6 and 2.2 mm on objects (mean depth: 4.7 mm).
     pub depth: Vec<f32>,
     /// World normals, not normalised.
     pub normal_w: Vec<[f32; 3]>,

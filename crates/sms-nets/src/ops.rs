@@ -160,8 +160,7 @@ pub(crate) fn depthwise(x: &Tensor, taps: &Tensor, bias: &Tensor, kernel: usize)
     if can_take(x) {
         return x.contiguous()?.apply_op3_no_bwd(taps, bias, &Depthwise { kernel });
     }
-    // candle convolves each of 256 groups separately; a sum over the 49 taps needs one pass over all channels for
-    // each.
+    // candle convolves each of 256 groups separately. A sum over the 49 taps needs only 49 passes over all channels.
     let (_, h, w, _) = x.dims4()?;
     let pad = kernel / 2;
     let padded = x.pad_with_zeros(1, pad, pad)?.pad_with_zeros(2, pad, pad)?;

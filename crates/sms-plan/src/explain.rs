@@ -150,8 +150,8 @@ impl Explanation<'_> {
         props
     }
 
-    /// Explains strategies that rely on a body that the chosen one does not use, by the property of this body that
-    /// would make them good. Searches shots of each strategy in the world with this property.
+    /// Explains the rejection of strategies that rely on another body: a different property of this body would make
+    /// them good. Searches shots of each strategy in worlds with such properties.
     fn others(
         &self,
         chosen: &[RobustCandidate],

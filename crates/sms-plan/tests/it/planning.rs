@@ -225,8 +225,8 @@ fn a_plan_reports_its_distribution_and_sensitivities() {
     let shares: f64 = plan.sensitivities.iter().map(|s| s.share).sum();
     assert!((shares - 1.0).abs() < 1e-9, "{:?}", plan.sensitivities);
     // Without friction between the balls, the target leaves along the line of centres, which is 57 mm long. A position
-    // error of 1 mm across this line changes the direction by 1/57 rad; the strike's error of 2 mrad over 0.24 m changes
-    // it by half as much. Materials have hardly any effect.
+    // error of 1 mm across this line changes the direction by 1/57 rad; the strike's error of 2 mrad over 0.24 m
+    // changes it by half as much. Materials have hardly any effect.
     let share = |u: Unknown| plan.sensitivities.iter().find(|s| s.unknown == u).map_or(0.0, |s| s.share);
     let places = share(Unknown::Pose { body: "cue".into() }) + share(Unknown::Pose { body: "blue".into() });
     assert!(places > 0.5, "{:?}", plan.sensitivities);
