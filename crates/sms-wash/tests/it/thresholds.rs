@@ -21,11 +21,13 @@ fn models(surface: &BodySurface) -> [Box<dyn Wash>; 3] {
     ]
 }
 
-/// Returns the tilt (radians) after half a second of a board that can rotate downwards about an edge at x = `EDGE`,
-/// while a propeller blows on it at x = `BLOWN`.
+/// Position of the edge along x, metres.
 const EDGE: f64 = 0.1;
+/// Position of the propeller along x, metres.
 const BLOWN: f64 = 0.25;
 
+/// Returns the tilt (radians) after half a second of a board that can rotate downwards about the edge, while the
+/// propeller blows on it.
 fn lean(wash: &mut dyn Wash, half: DVec3, mass: f64) -> f64 {
     let edge_w = DVec3::new(EDGE, 0.0, 0.0);
     let inertia = mass * ((half.x.powi(2) + half.z.powi(2)) / 3.0 + EDGE.powi(2));
