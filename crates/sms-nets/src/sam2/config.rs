@@ -283,6 +283,6 @@ mod tests {
         }
         let heads =
             r#"{"vision_config": {"backbone_config": {"num_attention_heads_per_stage": [5, 2, 4, 8]}}}"#;
-        faulty(heads, "96 channels do not fall into 5");
+        faulty(heads, "96 channels are not divisible by 5");
     }
 }

@@ -206,6 +206,7 @@ mod tests {
             x_recording_robot: Some(MOVED),
             ..RobotConfig::default()
         };
-        assert!(both.validate().unwrap_err().to_string().contains("both"));
+        let refused = both.validate().unwrap_err().to_string();
+        assert!(refused.contains("x_world_robot") && refused.contains("x_recording_robot"), "{refused}");
     }
 }

@@ -226,7 +226,7 @@ fn collision_shapes_and_meshes_are_checked() {
         ("meshes/block.dae", "", "convert it to STL or OBJ"),
         ("meshes/broken.stl", "", "damaged"),
         ("meshes/flat.obj", "", "no volume"),
-        ("meshes/block.obj", "scale=\"1 0 1\"", "scaled to nothing"),
+        ("meshes/block.obj", "scale=\"1 0 1\"", "zero scale"),
     ] {
         let message = read_in("robots", file, scale, &plain).unwrap_err().to_string();
         assert!(message.contains(word), "{message}");
