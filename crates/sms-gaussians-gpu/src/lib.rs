@@ -45,4 +45,7 @@ pub use kernels::KernelForm;
 pub use trainer::{GpuTrainer, MAX_CLASSES};
 
 #[cfg(test)]
+#[path = "../../sms-gaussians/tests/oracle/mod.rs"]
+mod oracle;
+#[cfg(test)]
 mod tests;

@@ -2,10 +2,10 @@
 //! continuous integration). Without an adapter, the tests print a line and pass.
 
 use crate::compare::{ErrorSpread, GROUPS, first_moments, images, relative};
+use crate::oracle::Oracle;
 use crate::probe::{BACKGROUND, CLASSES, camera, fill, frame};
 use crate::{AdapterChoice, GpuTrainer, KernelForm, SelfCheck, adapters};
 use sms_core::{Camera, Seed};
-use sms_gaussians::oracle::Oracle;
 use sms_gaussians::parameters::Parameters;
 use sms_gaussians::{
     CpuTrainer, DepthTerm, LearningRates, LossWeights, Seedling, StepBatch, TrainConfig, Trainer,
