@@ -54,7 +54,6 @@ mod scan;
 #[cfg(test)]
 mod test_scene;
 mod trainer;
-mod wall;
 
 pub use config::{DepthTerm, LearningRates, LossWeights, TrainConfig};
 pub use cpu::limits;
@@ -70,4 +69,3 @@ pub use trainer::{
     FrameId, LossTerms, RenderedMaps, Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer,
     TrainerError,
 };
-pub use wall::{WALL_CLASSES, fill_wall};
