@@ -12,7 +12,7 @@ pub(super) const COLOR: usize = 0;
 pub(super) const NORMAL: usize = 3;
 pub(super) const AFFINITY: usize = 6;
 pub(super) const DEPTH: usize = 22;
-pub const OPACITY: usize = 23;
+pub(super) const OPACITY: usize = 23;
 
 /// The terms of [`sms_gaussians::LossTerms`] in double precision.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

@@ -7,7 +7,7 @@ mod dual;
 mod loss;
 mod project;
 
-pub use loss::{CHANNELS, OPACITY, OracleTerms};
+pub use loss::{CHANNELS, OracleTerms};
 use project::{CONIC, DEPTH, MEAN, NORMAL, OPACITY_SHARE, OUTPUTS, Projection, project};
 use sms_core::Camera;
 use sms_gaussians::limits::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
