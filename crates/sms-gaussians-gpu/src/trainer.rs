@@ -256,7 +256,7 @@ impl GpuTrainer {
         let done = (control[STEPS_DONE] as usize).min(planned.len());
         for (planned, stats) in planned.iter().zip(stats.chunks_exact(STATS)).take(done) {
             if let Some(batch) = planned.batch {
-                add(&mut sums[batch], &self.terms(planned.frame, stats));
+                sums[batch].add(&self.terms(planned.frame, stats), 1.0);
             }
         }
         self.after(&control);
@@ -282,11 +282,10 @@ impl GpuTrainer {
     fn terms(&self, frame: FrameId, sums: &[f32]) -> LossTerms {
         let target = &self.targets[frame];
         let used = &target.pixels;
-        let w = &self.config.weights;
         let mean = |sum: f32, count: usize| if count > 0 { sum / count as f32 } else { 0.0 };
         let step = target.camera.trained(&self.config, used);
         let similarity = mean(sums[3], 3 * target.camera.pixels());
-        let mut terms = LossTerms {
+        LossTerms {
             color_l1: mean(sums[0], 3 * used.colored),
             // The CPU computes this term even without weight; here it would cost two kernels.
             dssim: if step.other_weights[0] != 0.0 { 1.0 - similarity } else { 0.0 },
@@ -296,14 +295,8 @@ impl GpuTrainer {
             isotropic: sums[5] / sums[7].max(1.0),
             flat: sums[6] / sums[7].max(1.0),
             total: 0.0,
-        };
-        terms.total = w.color * ((1.0 - w.ssim) * terms.color_l1 + w.ssim * terms.dssim)
-            + w.isotropic * terms.isotropic
-            + w.depth * terms.depth
-            + w.normal * terms.normal
-            + w.flat * terms.flat
-            + w.segmentation * terms.segmentation;
-        terms
+        }
+        .with_total(&self.config.weights)
     }
 
     /// Renders once; `Some(None)` if the capacity in pairs was too small, which is then increased; `None` after a
@@ -398,33 +391,6 @@ struct PlannedStep {
     batch: Option<usize>,
 }
 
-/// Adds every term.
-fn add(sum: &mut LossTerms, terms: &LossTerms) {
-    sum.color_l1 += terms.color_l1;
-    sum.dssim += terms.dssim;
-    sum.isotropic += terms.isotropic;
-    sum.depth += terms.depth;
-    sum.normal += terms.normal;
-    sum.flat += terms.flat;
-    sum.segmentation += terms.segmentation;
-    sum.total += terms.total;
-}
-
-/// Divides all terms by the number of steps.
-fn averaged(sum: &LossTerms, count: usize) -> LossTerms {
-    let share = 1.0 / count.max(1) as f32;
-    LossTerms {
-        color_l1: sum.color_l1 * share,
-        dssim: sum.dssim * share,
-        isotropic: sum.isotropic * share,
-        depth: sum.depth * share,
-        normal: sum.normal * share,
-        flat: sum.flat * share,
-        segmentation: sum.segmentation * share,
-        total: sum.total * share,
-    }
-}
-
 impl Trainer for GpuTrainer {
     /// # Panics
     /// If a buffer of the frame has another size than the camera's image.
@@ -512,9 +478,10 @@ impl Trainer for GpuTrainer {
             added = make().map(|frame| self.add_frame(frame));
         }
         let left = |i: usize| rest.iter().filter(|p| p.batch == Some(i)).count();
-        let stats = |(i, (batch, sum)): (usize, (&StepBatch, &LossTerms))| StepStats {
-            loss: averaged(sum, batch.own.len()),
-            steps: (batch.own.len() - left(i)) as u32,
+        let stats = |(i, (batch, sum)): (usize, (&StepBatch, &LossTerms))| {
+            let mut stats = StepStats { steps: (batch.own.len() - left(i)) as u32, ..StepStats::default() };
+            stats.loss.add(sum, 1.0 / batch.own.len().max(1) as f32);
+            stats
         };
         (batches.iter().zip(&sums).enumerate().map(stats).collect(), added)
     }

@@ -4,7 +4,7 @@
 //! Adam moments are below it, on the device.
 
 use crate::parameters::Parameters;
-use crate::{AFFINITY_DIM, Classifier, GaussianModel, LearningRates};
+use crate::{AFFINITY_DIM, Classifier, GaussianModel, LearningRates, LossWeights};
 use glamx::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{Camera, CoreError};
@@ -60,6 +60,32 @@ pub struct LossTerms {
     pub segmentation: f32,
     /// The weighted total that was minimized.
     pub total: f32,
+}
+
+impl LossTerms {
+    /// Adds every term of `terms` times `share`.
+    pub fn add(&mut self, terms: &Self, share: f32) {
+        self.color_l1 += terms.color_l1 * share;
+        self.dssim += terms.dssim * share;
+        self.isotropic += terms.isotropic * share;
+        self.depth += terms.depth * share;
+        self.normal += terms.normal * share;
+        self.flat += terms.flat * share;
+        self.segmentation += terms.segmentation * share;
+        self.total += terms.total * share;
+    }
+
+    /// Sets the total to the weighted sum of the other terms.
+    #[must_use]
+    pub fn with_total(self, w: &LossWeights) -> Self {
+        let total = w.color * ((1.0 - w.ssim) * self.color_l1 + w.ssim * self.dssim)
+            + w.isotropic * self.isotropic
+            + w.depth * self.depth
+            + w.normal * self.normal
+            + w.flat * self.flat
+            + w.segmentation * self.segmentation;
+        Self { total, ..self }
+    }
 }
 
 /// Result of a batch of steps: the terms averaged over the batch.

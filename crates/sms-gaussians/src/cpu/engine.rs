@@ -390,7 +390,7 @@ impl Engine {
         }
         let mean = |sum: f64, pixels: usize| if pixels > 0 { (sum / pixels as f64) as f32 } else { 0.0 };
         let pixels = 3 * target.grid.width * target.grid.height;
-        let mut terms = LossTerms {
+        LossTerms {
             color_l1: mean(sums.color, 3 * target.colored),
             dssim: if pixels > 0 { 1.0 - mean(sums.ssim, pixels) } else { 0.0 },
             isotropic: isotropic as f32,
@@ -399,18 +399,7 @@ impl Engine {
             flat: flat as f32,
             segmentation: mean(sums.segmentation, target.labelled) / sample.map_or(1.0, PatchSample::share),
             total: 0.0,
-        };
-        terms.total = total(&terms, weights);
-        terms
+        }
+        .with_total(weights)
     }
-}
-
-/// The weighted sum of the terms.
-pub(super) fn total(terms: &LossTerms, weights: &LossWeights) -> f32 {
-    weights.color * ((1.0 - weights.ssim) * terms.color_l1 + weights.ssim * terms.dssim)
-        + weights.isotropic * terms.isotropic
-        + weights.depth * terms.depth
-        + weights.normal * terms.normal
-        + weights.flat * terms.flat
-        + weights.segmentation * terms.segmentation
 }

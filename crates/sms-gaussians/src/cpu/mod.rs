@@ -148,19 +148,6 @@ impl CpuTrainer {
     }
 }
 
-/// Adds `terms` to `sum`, each divided by `count`.
-fn add_share(sum: &mut LossTerms, terms: &LossTerms, count: usize) {
-    let share = 1.0 / count as f32;
-    sum.color_l1 += terms.color_l1 * share;
-    sum.dssim += terms.dssim * share;
-    sum.isotropic += terms.isotropic * share;
-    sum.depth += terms.depth * share;
-    sum.normal += terms.normal * share;
-    sum.flat += terms.flat * share;
-    sum.segmentation += terms.segmentation * share;
-    sum.total += terms.total * share;
-}
-
 impl Trainer for CpuTrainer {
     /// # Panics
     /// If a buffer of the frame has another size than the camera's image.
@@ -187,7 +174,7 @@ impl Trainer for CpuTrainer {
         let mut stats = StepStats::default();
         for &frame in frames {
             let terms = self.step(frame);
-            add_share(&mut stats.loss, &terms, frames.len());
+            stats.loss.add(&terms, 1.0 / frames.len() as f32);
             stats.steps += 1;
         }
         stats
