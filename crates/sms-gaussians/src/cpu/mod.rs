@@ -33,7 +33,6 @@ use crate::{
     Classifier, FrameId, GaussianModel, LearningRates, LossTerms, RenderedMaps, Seedling, StepStats,
     TrainConfig, TrainFrame, TrainState, Trainer, TrainerError,
 };
-use bands::BAND_TILES;
 use engine::Engine;
 use glamx::Vec3;
 use lanes::Simd;
@@ -43,7 +42,9 @@ use rayon::prelude::*;
 use sms_core::{Camera, Seed};
 use std::time::Instant;
 use target::TiledTarget;
-use tile::{COLOR_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PATCH_ROWS, TILE, TileImage, TilePlane};
+use tile::{
+    BAND_TILES, COLOR_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PATCH_ROWS, TILE, TileImage, TilePlane,
+};
 pub use times::StepTimes;
 
 /// Gaussians handled at once by the optimiser.
