@@ -540,13 +540,7 @@ impl Trainer for GpuTrainer {
     }
 
     fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError> {
-        let parameters = Parameters::decode(state)?;
-        if parameters.classifier.classes != self.store.classes {
-            return Err(TrainerError::BadState(format!(
-                "it has {} classes, the masks have {}",
-                parameters.classifier.classes, self.store.classes
-            )));
-        }
+        let parameters = Parameters::decode_for(self.store.classes, state)?;
         self.store.set(&self.gpu, &parameters);
         self.work.forget_bindings();
         Ok(())
@@ -556,7 +550,7 @@ impl Trainer for GpuTrainer {
         let mut parameters = self.parameters();
         change(&mut parameters);
         if !parameters.is_finite() {
-            return Err(TrainerError::BadState("it holds a number that is not finite".to_owned()));
+            return Err(TrainerError::not_finite());
         }
         self.store.set(&self.gpu, &parameters);
         self.work.forget_bindings();

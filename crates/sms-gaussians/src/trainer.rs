@@ -154,7 +154,7 @@ pub enum TrainerError {
 
 impl TrainerError {
     /// A state with a number that is not finite.
-    pub(crate) fn not_finite() -> Self {
+    pub fn not_finite() -> Self {
         Self::BadState("it holds a number that is not finite".to_owned())
     }
 }

@@ -261,14 +261,7 @@ impl Trainer for CpuTrainer {
     }
 
     fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError> {
-        let parameters = Parameters::decode(state)?;
-        if parameters.classifier.classes != self.parameters.classifier.classes {
-            return Err(TrainerError::BadState(format!(
-                "it has {} classes, the masks have {}",
-                parameters.classifier.classes, self.parameters.classifier.classes
-            )));
-        }
-        self.parameters = parameters;
+        self.parameters = Parameters::decode_for(self.parameters.classifier.classes, state)?;
         Ok(())
     }
 
