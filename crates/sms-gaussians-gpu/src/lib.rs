@@ -40,7 +40,6 @@ mod work;
 pub use check::{SelfCheck, checked_trainer, self_check};
 pub use compare::ErrorSpread;
 pub use gpu::{AdapterChoice, AdapterSummary, GpuError, adapters};
-pub use kernels::KernelForm;
 pub use trainer::{GpuTrainer, MAX_CLASSES};
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! [`GpuTrainer`]: the back end of the scan on a GPU.
 
 use crate::gpu::{AdapterChoice, AdapterSummary, Gpu, GpuError};
-use crate::kernels::{ComputeKernel, GAUSSIANS, KernelForm, Kernels};
+use crate::kernels::{ComputeKernel, GAUSSIANS, Kernels};
 use crate::maps::maps_of;
 use crate::steps::{of_step, of_view, record, segment_groups, timed};
 use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS, PAIRS_WANTED, STEPS_DONE, Store};
@@ -68,26 +68,23 @@ impl GpuTrainer {
         seed: Seed,
         choice: AdapterChoice,
     ) -> Result<Self, GpuError> {
-        Self::with_form(config, classes, seed, choice, KernelForm::default())
+        Self::with_kernels(config, classes, seed, choice, false)
     }
 
-    /// Like [`GpuTrainer::new`], with kernels of a given form, for comparison.
-    ///
-    /// # Errors
-    /// As [`GpuTrainer::new`].
-    pub fn with_form(
+    /// Like [`GpuTrainer::new`], with guarded kernels for comparison or without guards.
+    pub(crate) fn with_kernels(
         config: &TrainConfig,
         classes: usize,
         seed: Seed,
         choice: AdapterChoice,
-        form: KernelForm,
+        guarded: bool,
     ) -> Result<Self, GpuError> {
         let classes = classes.max(1);
         if classes > MAX_CLASSES {
             return Err(GpuError::TooManyClasses { classes, most: MAX_CLASSES });
         }
         let gpu = Gpu::open(choice)?;
-        let kernels = Kernels::new(&gpu, classes, form);
+        let kernels = Kernels::new(&gpu, classes, guarded);
         if let Some(reason) = gpu.failure() {
             return Err(GpuError::Unsuitable { name: gpu.summary.name.clone(), reason });
         }
@@ -143,26 +140,6 @@ impl GpuTrainer {
         let times = timed(gpu, &of_step(kernels, bindings, &step), views[frame].as_ref()?);
         self.reset_flags();
         times
-    }
-
-    /// Destroys the device, as a fault or an unplugged GPU would: for tests.
-    #[doc(hidden)]
-    pub fn lose_device(&self) {
-        self.gpu.device.destroy();
-    }
-
-    /// Restarts with this capacity in pairs: for tests of growth.
-    #[doc(hidden)]
-    pub fn shrink_pairs(&mut self, pairs: u32) {
-        self.work = StepBuffers::new(&self.gpu, self.store.classes);
-        self.views.iter_mut().for_each(|view| *view = None);
-        self.pairs_wanted = pairs;
-    }
-
-    /// Returns the capacity in pairs of splat and tile, which grows on demand.
-    #[doc(hidden)]
-    pub fn pairs(&self) -> u32 {
-        self.work.room.pairs
     }
 
     /// Prepares buffers and bind groups for steps on these frames.
@@ -560,5 +537,25 @@ impl Trainer for GpuTrainer {
     fn failure(&self) -> Option<String> {
         let name = &self.gpu.summary.name;
         self.gpu.failure().map(|reason| format!("{name}: {reason}"))
+    }
+}
+
+#[cfg(test)]
+impl GpuTrainer {
+    /// Destroys the device, as a fault or an unplugged GPU would.
+    pub(crate) fn lose_device(&self) {
+        self.gpu.device.destroy();
+    }
+
+    /// Restarts with this capacity in pairs, to test its growth.
+    pub(crate) fn shrink_pairs(&mut self, pairs: u32) {
+        self.work = StepBuffers::new(&self.gpu, self.store.classes);
+        self.views.iter_mut().for_each(|view| *view = None);
+        self.pairs_wanted = pairs;
+    }
+
+    /// Returns the capacity in pairs of splat and tile.
+    pub(crate) fn pairs(&self) -> u32 {
+        self.work.room.pairs
     }
 }

@@ -15,7 +15,7 @@ pub const C2: f64 = 0.03 * 0.03;
 const ROWS: usize = 4;
 
 /// The window's weights along one axis.
-pub(super) fn window() -> [f64; TAPS] {
+pub fn window() -> [f64; TAPS] {
     let weight = |i: usize| (-((i as f64 - RADIUS as f64) / 1.5).powi(2) / 2.0).exp();
     let sum: f64 = (0..TAPS).map(weight).sum();
     std::array::from_fn(|i| weight(i) / sum)
