@@ -3,7 +3,7 @@
 use crate::gpu::{AdapterChoice, AdapterSummary, Gpu, GpuError};
 use crate::kernels::{ComputeKernel, GAUSSIANS, Kernels};
 use crate::maps::maps_of;
-use crate::steps::{of_step, of_view, record, segment_groups, timed};
+use crate::steps::{Dispatch, of_step, of_view, record, segment_groups, submit, timed};
 use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS, PAIRS_WANTED, STEPS_DONE, Store};
 use crate::target::DeviceTarget;
 use crate::uniforms::{STRIDE, Step};
@@ -117,7 +117,7 @@ impl GpuTrainer {
 
     /// Returns the bytes of all buffers on the device: the state, the buffers of steps, and the observed views.
     pub fn device_bytes(&self) -> u64 {
-        self.store.bytes() + self.work.bytes() + self.targets.iter().map(|t| t.bytes).sum::<u64>()
+        self.store.bytes() + self.work.bytes() + self.targets.iter().map(|t| t.words.size()).sum::<u64>()
     }
 
     /// Returns the pairs of splat and tile in the last step or rendered view, which determine most of a step's
@@ -199,14 +199,13 @@ impl GpuTrainer {
         self.gpu.queue.write_buffer(&self.work.uniforms, 0, &uniforms);
         let Self { gpu, kernels, work, store, views, staging, .. } = self;
         let (control_bytes, stats_bytes) = result_bytes(steps.len());
-        let mut at = 0;
-        while at < steps.len() {
-            let end = (at + TOGETHER).min(steps.len());
+        for first in (0..steps.len()).step_by(TOGETHER) {
+            let end = (first + TOGETHER).min(steps.len());
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             {
                 let bindings = work.bindings(gpu, kernels, store);
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-                for i in at..end {
+                for i in first..end {
                     let view = views[frames[i]].as_ref()?;
                     record(&mut pass, &of_step(kernels, bindings, &steps[i]), view, i);
                 }
@@ -216,7 +215,6 @@ impl GpuTrainer {
                 encoder.copy_buffer_to_buffer(&work.stats, 0, staging, control_bytes, stats_bytes);
             }
             gpu.queue.submit([encoder.finish()]);
-            at = end;
         }
         Some(())
     }
@@ -286,22 +284,15 @@ impl GpuTrainer {
         self.gpu.queue.write_buffer(&self.work.uniforms, 0, bytemuck::bytes_of(&step));
         let view = self.work.bind_view(&self.gpu, &self.kernels, &self.nothing);
         let Self { gpu, kernels, work, store, spare_maps, .. } = self;
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let bindings = work.bindings(gpu, kernels, store);
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            record(&mut pass, &of_view(kernels, bindings, &step), &view, 0);
-        }
-        gpu.queue.submit([encoder.finish()]);
+        submit(gpu, &of_view(kernels, work.bindings(gpu, kernels, store), &step), &view);
         let parts = [(&store.control, 4 * CONTROL_WORDS as u64), (work.maps(), 36 * camera.pixels() as u64)];
         let (control, maps) = gpu.read_with(parts, |[control, maps]| {
             let control: Vec<u32> = bytemuck::pod_collect_to_vec(control);
-            let fits = control[OVERFLOWED] == 0;
-            let mut make = || {
+            let maps = (control[OVERFLOWED] == 0).then(|| {
                 let spare = spare_maps.pop().unwrap_or_default();
                 maps_of(bytemuck::cast_slice(maps), camera.size[0] as usize, spare)
-            };
-            (control, fits.then(&mut make))
+            });
+            (control, maps)
         })?;
         self.after(&control);
         Some(maps)
@@ -310,19 +301,11 @@ impl GpuTrainer {
     /// Runs a kernel over the present Gaussians, outside of any step.
     fn run_over(&self, kernel: &ComputeKernel, buffers: &[&wgpu::Buffer], count: u32, groups: u32) {
         let Self { gpu, kernels, work, nothing, .. } = self;
-        let buffers = bind(gpu, kernel, buffers);
+        let buffers = &bind(gpu, kernel, buffers);
         let view = work.bind_view(gpu, kernels, nothing);
         let step = Step { counts: [count, 0, 0, 0], ..Step::default() };
         gpu.queue.write_buffer(&work.uniforms, 0, bytemuck::bytes_of(&step));
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            pass.set_pipeline(&kernel.pipeline);
-            pass.set_bind_group(0, &buffers, &[]);
-            pass.set_bind_group(1, &view, &[0]);
-            pass.dispatch_workgroups(groups, 1, 1);
-        }
-        gpu.queue.submit([encoder.finish()]);
+        submit(gpu, &[Dispatch { name: kernel.name, kernel, buffers, groups: [groups, 1] }], &view);
     }
 
     /// Applies `see` to the position and the logit of the opacity of each Gaussian; to zeros after a failure.
@@ -426,16 +409,13 @@ impl Trainer for GpuTrainer {
     ) -> (Vec<StepStats>, Option<FrameId>) {
         let mut planned = Vec::new();
         for (i, batch) in batches.iter().enumerate() {
-            self.config.rates = batch.rates;
+            let rates = batch.rates;
+            self.config.rates = rates;
             let own = batch.own.iter().map(|&frame| (frame, Some(i)));
             let all = own.chain(batch.replayed.iter().map(|&frame| (frame, None)));
             // Views without pixels are skipped.
             let shown = all.filter(|(frame, _)| self.targets[*frame].camera.pixels() > 0);
-            planned.extend(shown.map(|(frame, batch_of)| PlannedStep {
-                frame,
-                rates: batch.rates,
-                batch: batch_of,
-            }));
+            planned.extend(shown.map(|(frame, batch)| PlannedStep { frame, rates, batch }));
         }
         let mut sums = vec![LossTerms::default(); batches.len()];
         let (mut next, mut added) = (Some(next), None);

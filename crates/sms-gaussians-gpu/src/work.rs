@@ -27,16 +27,6 @@ pub(crate) struct Room {
     pub(crate) shown: u32,
 }
 
-impl Room {
-    fn covers(&self, wanted: &Self) -> bool {
-        self.gaussians >= wanted.gaussians
-            && self.tiles >= wanted.tiles
-            && self.pixels >= wanted.pixels
-            && self.pairs >= wanted.pairs
-            && self.shown >= wanted.shown
-    }
-}
-
 /// The buffers of a step.
 pub(crate) struct StepBuffers {
     pub(crate) room: Room,
@@ -149,9 +139,6 @@ impl StepBuffers {
 
     /// Grows the buffers as needed; growing loses their contents.
     pub(crate) fn reserve(&mut self, gpu: &Gpu, classes: usize, wanted: &Room) {
-        if self.room.covers(wanted) {
-            return;
-        }
         let (a, b) = (self.room, wanted);
         // Gaussians and pairs grow gradually; while they are few, by half, since all buffers are recreated.
         let more = if b.gaussians < FEW { 2 } else { 4 };
@@ -163,6 +150,9 @@ impl StepBuffers {
             pairs: grown(a.pairs, b.pairs),
             shown: a.shown.max(b.shown),
         };
+        if room == self.room {
+            return;
+        }
         self.partial_stride = partial_stride(&room);
         self.buffers = Buffers::new(gpu, &room, classes, self.partial_stride);
         self.room = room;
