@@ -454,16 +454,16 @@ impl Trainer for GpuTrainer {
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
         let step = Step::of_camera(camera);
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        if width * height == 0 {
-            return RenderedMaps { width, height, ..RenderedMaps::default() };
-        }
-        loop {
+        while width * height > 0 {
             match self.try_render(&step) {
                 Some(Some(maps)) => return maps,
                 Some(None) => {}
-                None => return maps_of(&vec![0.0; 9 * width * height], width, RenderedMaps::default()),
+                None => break,
             }
         }
+        let mut blank = RenderedMaps::default();
+        blank.resize(width, height);
+        blank
     }
 
     fn recycle(&mut self, maps: RenderedMaps) {

@@ -130,6 +130,19 @@ pub struct RenderedMaps {
     pub label: Vec<u16>,
 }
 
+impl RenderedMaps {
+    /// Resizes all maps; new pixels are zero.
+    pub fn resize(&mut self, width: usize, height: usize) {
+        let pixels = width * height;
+        (self.width, self.height) = (width, height);
+        self.color.resize(pixels, [0.0; 3]);
+        self.alpha.resize(pixels, 0.0);
+        self.depth.resize(pixels, 0.0);
+        self.normal_w.resize(pixels, [0.0; 3]);
+        self.label.resize(pixels, 0);
+    }
+}
+
 /// The state needed to continue training exactly: parameters in the optimiser's own units, moments, step counts.
 /// All back ends share the same layout.
 #[derive(Debug, Clone, Default, PartialEq)]

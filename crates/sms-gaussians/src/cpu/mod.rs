@@ -183,24 +183,16 @@ impl Trainer for CpuTrainer {
 
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
         let view = CameraView::new(camera);
-        if view.width * view.height == 0 {
-            return RenderedMaps { width: view.width, height: view.height, ..RenderedMaps::default() };
+        let mut maps = RenderedMaps::default();
+        maps.resize(view.width, view.height);
+        if maps.color.is_empty() {
+            return maps;
         }
         self.engine.blend(&self.parameters, &view, None);
         let Engine { simd, grid, tiles, bands, classifier, .. } = &mut self.engine;
         let (simd, grid) = (*simd, *grid);
         classifier.set(self.parameters.classifier.classes, &self.parameters.classifier.values);
         let weights = &*classifier;
-        let pixels = view.width * view.height;
-        let mut maps = RenderedMaps {
-            width: view.width,
-            height: view.height,
-            color: vec![[0.0; 3]; pixels],
-            alpha: vec![0.0; pixels],
-            depth: vec![0.0; pixels],
-            normal_w: vec![[0.0; 3]; pixels],
-            label: vec![0; pixels],
-        };
         let mut found = vec![([0u16; TILE * TILE], TilePlane::ZERO); tiles.len()];
         bands
             .par_iter_mut()
