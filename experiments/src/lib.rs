@@ -50,6 +50,8 @@ mod table;
 mod timer;
 mod trainer;
 mod true_worlds;
+#[path = "../../crates/sms-gaussians/benches/scene/wall.rs"]
+mod wall;
 
 pub use billiards::{
     Ablated, Ablation, BilliardsBench, BilliardsGeometry, BilliardsScene, Drawing, Replaced, Row, Shot,

@@ -1,15 +1,16 @@
 //! CPU time of a training step on a fixed scene, to compare runs and versions.
 
+use crate::wall::{WALL_CLASSES, fill_wall};
 use sms_core::Seed;
 use sms_core::metrics::Metrics;
 use sms_core::process::cpu_seconds;
-use sms_gaussians::{CpuTrainer, StepTimes, TrainConfig, Trainer, WALL_CLASSES, fill_wall};
+use sms_gaussians::{CpuTrainer, StepTimes, TrainConfig, Trainer};
 
 /// Gaussians of the fixed scene.
 pub const STEP_GAUSSIANS: usize = 20_000;
 
 /// Returns the CPU milliseconds of one full training step with [`STEP_GAUSSIANS`] Gaussians at `width` × `height`, summed over
-/// threads: the median of several short batches. The scene is [`fill_wall`]'s. `None` if the system
+/// threads: the median of several short batches. The scene is that of `fill_wall`. `None` if the system
 /// does not report CPU times.
 pub fn fixed_step_cpu_ms(train: &TrainConfig, width: usize, height: usize) -> Option<f64> {
     const BATCHES: usize = 7;

@@ -4,12 +4,16 @@
 //! The scene is the wall of discs of [`fill_wall`], as in the CPU's benchmark. `--export` also writes it for
 //! `benches/peers/gsplat_wall.py`.
 
+#[path = "../../sms-gaussians/benches/scene/wall.rs"]
+mod wall;
+
 use sms_core::glamx::{DMat4, DVec3};
 use sms_core::{Camera, Intrinsics, Seed};
-use sms_gaussians::{GaussianModel, TrainConfig, Trainer, WALL_CLASSES, fill_wall, write_ply};
+use sms_gaussians::{GaussianModel, TrainConfig, Trainer, write_ply};
 use sms_gaussians_gpu::{AdapterChoice, GpuTrainer};
 use std::path::Path;
 use std::time::Instant;
+use wall::{WALL_CLASSES, fill_wall};
 
 /// Steps of one timed submission.
 const STEPS: usize = 50;

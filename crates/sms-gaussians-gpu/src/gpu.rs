@@ -1,6 +1,7 @@
 //! Adapters, the device, and transfers to and from it.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, mpsc};
+use wgpu::BufferUsages;
 
 /// Errors of finding and opening a device.
 #[derive(Debug, thiserror::Error)]
@@ -189,44 +190,37 @@ impl Gpu {
         note(&self.failure, text);
     }
 
+    fn create(&self, label: &str, size: u64, usage: BufferUsages) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size,
+            usage,
+            mapped_at_creation: false,
+        })
+    }
+
     /// A zeroed buffer of at least `bytes`, for kernels and copies.
-    pub(crate) fn buffer(&self, label: &str, bytes: u64, more: wgpu::BufferUsages) -> wgpu::Buffer {
+    pub(crate) fn buffer(&self, label: &str, bytes: u64, more: BufferUsages) -> wgpu::Buffer {
         let size = bytes.next_multiple_of(16).max(16);
         if size > self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size) {
             self.fail(format!("{label} needs {size} bytes, more than the device binds at once"));
             return self.buffer(label, 16, more);
         }
-        self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size,
-            usage: wgpu::BufferUsages::STORAGE
-                | wgpu::BufferUsages::COPY_SRC
-                | wgpu::BufferUsages::COPY_DST
-                | more,
-            mapped_at_creation: false,
-        })
+        let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST | more;
+        self.create(label, size, usage)
     }
 
     /// A buffer that kernels only read.
-    pub(crate) fn upload(&self, label: &str, contents: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
-        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size: (contents.len() as u64).max(16),
-            usage: usage | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+    pub(crate) fn upload(&self, label: &str, contents: &[u8], usage: BufferUsages) -> wgpu::Buffer {
+        let buffer = self.create(label, (contents.len() as u64).max(16), usage | BufferUsages::COPY_DST);
         self.queue.write_buffer(&buffer, 0, contents);
         buffer
     }
 
     /// A buffer that the host reads.
     pub(crate) fn staging(&self, bytes: u64) -> wgpu::Buffer {
-        self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("staging"),
-            size: bytes.next_multiple_of(16).max(16),
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        })
+        let size = bytes.next_multiple_of(16).max(16);
+        self.create("staging", size, BufferUsages::MAP_READ | BufferUsages::COPY_DST)
     }
 
     /// Applies `see` to the first `bytes` of a staging buffer once all submitted work is done; `None` after a

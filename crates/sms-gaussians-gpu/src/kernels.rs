@@ -5,7 +5,7 @@ use crate::unroll::unroll;
 use crate::work::STATS;
 use sms_gaussians::limits::{
     ALPHA_MAX, ALPHA_MIN, AREA_FLOOR, DEPTH_OPACITY_MIN, FAR, LOW_PASS, NEAR, SLOPE_LOW_PASS, SSIM_C1,
-    SSIM_C2, SSIM_RADIUS, TRANSMITTANCE_MIN,
+    SSIM_C2, TRANSMITTANCE_MIN, ssim_window,
 };
 use sms_gaussians::parameters::{LOGIT_LIMIT, SCALE_RANGE};
 use std::fmt::Write;
@@ -79,7 +79,7 @@ enum Slot {
     Write,
     Uniform,
 }
-use Slot::{Read, Uniform, Write as ReadWrite};
+use Slot::{Read as R, Uniform, Write as W};
 
 fn entry(binding: u32, slot: Slot, dynamic: bool) -> wgpu::BindGroupLayoutEntry {
     let ty = match slot {
@@ -93,14 +93,6 @@ fn entry(binding: u32, slot: Slot, dynamic: bool) -> wgpu::BindGroupLayoutEntry 
         ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: dynamic, min_binding_size: None },
         count: None,
     }
-}
-
-/// Weights of SSIM's window along one axis.
-fn window() -> Vec<f64> {
-    let radius = SSIM_RADIUS as i32;
-    let weights: Vec<f64> = (-radius..=radius).map(|d| (-(f64::from(d) / 1.5).powi(2) / 2.0).exp()).collect();
-    let sum: f64 = weights.iter().sum();
-    weights.iter().map(|w| w / sum).collect()
 }
 
 /// Constants of the kernels, as WGSL.
@@ -137,16 +129,9 @@ fn constants(classes: usize) -> String {
     for (name, value) in numbers {
         let _ = writeln!(text, "const {name}: f32 = {:e};", value as f32);
     }
-    let weights: Vec<String> = window().iter().map(|w| format!("{:e}", *w as f32)).collect();
+    let weights: Vec<String> = ssim_window().iter().map(|w| format!("{:e}", *w as f32)).collect();
     let _ = writeln!(text, "const WINDOW = array<f32, {}>({});", weights.len(), weights.join(", "));
     text
-}
-
-/// Compiled form of the kernels.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct KernelForm {
-    /// Whether to guard every index and every loop against overruns.
-    pub checked: bool,
 }
 
 /// Compiles a module without guards around indices and loops.
@@ -162,8 +147,8 @@ fn trusted_module(device: &wgpu::Device, descriptor: wgpu::ShaderModuleDescripto
 }
 
 impl Kernels {
-    /// Compiles all kernels for a number of classes.
-    pub(crate) fn new(gpu: &Gpu, classes: usize, form: KernelForm) -> Self {
+    /// Compiles all kernels for a number of classes; `guarded` guards every index and every loop against overruns.
+    pub(crate) fn new(gpu: &Gpu, classes: usize, guarded: bool) -> Self {
         let step_layout = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("step"),
             entries: &[entry(0, Slot::Uniform, true), entry(1, Slot::Read, false)],
@@ -177,13 +162,12 @@ impl Kernels {
         ];
         let kernel = |name: &'static str, slots: &[Slot], sources: &[&str]| {
             let common = include_str!("shaders/common.wgsl");
-            let text = [constants.as_str(), common].into_iter().chain(sources.iter().copied());
-            let text: Vec<&str> = text.collect();
+            let text = [&[constants.as_str(), common][..], sources].concat().join("\n");
             let descriptor = wgpu::ShaderModuleDescriptor {
                 label: Some(name),
-                source: wgpu::ShaderSource::Wgsl(unroll(&text.join("\n"), &counts).into()),
+                source: wgpu::ShaderSource::Wgsl(unroll(&text, &counts).into()),
             };
-            let module = if form.checked {
+            let module = if guarded {
                 gpu.device.create_shader_module(descriptor)
             } else {
                 trusted_module(&gpu.device, descriptor)
@@ -216,8 +200,6 @@ impl Kernels {
         let gaussian = include_str!("shaders/gaussian.wgsl");
         let alpha = include_str!("shaders/alpha.wgsl");
         let adam = include_str!("shaders/adam.wgsl");
-        const R: Slot = Read;
-        const W: Slot = ReadWrite;
         let columns = include_str!("shaders/columns.wgsl");
         let visited = [R, R, W, W, W, W, W, Uniform, W];
         Self {

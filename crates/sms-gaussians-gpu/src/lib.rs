@@ -11,15 +11,14 @@
 //!
 //! ```no_run
 //! use sms_core::Seed;
-//! use sms_gaussians::{TrainConfig, Trainer, WALL_CLASSES, fill_wall};
+//! use sms_gaussians::TrainConfig;
 //! use sms_gaussians_gpu::{AdapterChoice, adapters, checked_trainer};
 //!
 //! for adapter in adapters() {
 //!     println!("{}: {} ({})", adapter.index, adapter.name, adapter.driver);
 //! }
-//! let mut trainer = checked_trainer(&TrainConfig::default(), WALL_CLASSES, Seed(1), AdapterChoice::Best)?;
-//! let frame = fill_wall(&mut trainer, (64, 40), 500);
-//! println!("loss {}", trainer.steps(&[frame; 20]).loss.total);
+//! let trainer = checked_trainer(&TrainConfig::default(), 3, Seed(1), AdapterChoice::Best)?;
+//! println!("training on {}", trainer.adapter().name);
 //! # Ok::<(), sms_gaussians_gpu::GpuError>(())
 //! ```
 
@@ -41,8 +40,10 @@ mod work;
 pub use check::{SelfCheck, checked_trainer, self_check};
 pub use compare::ErrorSpread;
 pub use gpu::{AdapterChoice, AdapterSummary, GpuError, adapters};
-pub use kernels::KernelForm;
 pub use trainer::{GpuTrainer, MAX_CLASSES};
 
+#[cfg(test)]
+#[path = "../../sms-gaussians/tests/oracle/mod.rs"]
+mod oracle;
 #[cfg(test)]
 mod tests;

@@ -6,13 +6,7 @@ use sms_gaussians::RenderedMaps;
 /// Converts nine values per pixel, row by row, as written by the kernel `maps`. The memory of `maps` is reused,
 /// since fresh memory costs more than filling it.
 pub(crate) fn maps_of(values: &[f32], width: usize, mut maps: RenderedMaps) -> RenderedMaps {
-    let pixels = values.len() / 9;
-    (maps.width, maps.height) = (width, pixels / width);
-    maps.color.resize(pixels, [0.0; 3]);
-    maps.alpha.resize(pixels, 0.0);
-    maps.depth.resize(pixels, 0.0);
-    maps.normal_w.resize(pixels, [0.0; 3]);
-    maps.label.resize(pixels, 0);
+    maps.resize(width, values.len() / 9 / width);
     let scalars = maps.alpha.par_iter_mut().zip(&mut maps.depth).zip(&mut maps.label);
     let vectors = maps.color.par_iter_mut().zip(&mut maps.normal_w);
     values.par_chunks_exact(9).zip(scalars).zip(vectors).with_min_len(4096).for_each(

@@ -8,9 +8,9 @@ use crate::work::{Bindings, spread};
 /// One dispatch.
 pub(crate) struct Dispatch<'a> {
     pub(crate) name: &'static str,
-    kernel: &'a ComputeKernel,
-    buffers: &'a wgpu::BindGroup,
-    groups: [u32; 2],
+    pub(crate) kernel: &'a ComputeKernel,
+    pub(crate) buffers: &'a wgpu::BindGroup,
+    pub(crate) groups: [u32; 2],
 }
 
 /// Workgroups of the segmentation of a view.
@@ -82,6 +82,13 @@ pub(crate) fn record(
         pass.set_bind_group(0, d.buffers, &[]);
         pass.dispatch_workgroups(d.groups[0], d.groups[1], 1);
     }
+}
+
+/// Submits dispatches outside of a batch.
+pub(crate) fn submit(gpu: &Gpu, dispatches: &[Dispatch<'_>], view: &wgpu::BindGroup) {
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    record(&mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()), dispatches, view, 0);
+    gpu.queue.submit([encoder.finish()]);
 }
 
 /// Runs dispatches one by one, each between two timestamps, and returns their times in milliseconds; `None` if the

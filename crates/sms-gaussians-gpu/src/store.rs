@@ -50,12 +50,13 @@ fn corrections() -> Vec<[f32; 2]> {
 impl Store {
     pub(crate) fn new(gpu: &Gpu, classes: usize) -> Self {
         let bytes = 16 * u64::from(classifier_vectors(classes));
+        let [rows, moments, steps] = Self::fresh(gpu, 0);
         Self {
             count: 0,
             capacity: 0,
-            rows: gpu.buffer("rows", 0, BufferUsages::empty()),
-            moments: gpu.buffer("moments", 0, BufferUsages::empty()),
-            steps: gpu.buffer("steps", 0, BufferUsages::empty()),
+            rows,
+            moments,
+            steps,
             spare: None,
             classes,
             classifier: gpu.buffer("classifier", bytes, BufferUsages::UNIFORM),

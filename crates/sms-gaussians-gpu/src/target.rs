@@ -11,7 +11,6 @@ const DEPTH_MAX: f32 = 1e3;
 const COLOR_MAX: f32 = 1e3;
 /// Flag in the word of the label for valid colour.
 const COLORED: u32 = 0x1_0000;
-
 /// The label of a pixel without one.
 const UNLABELLED: u32 = 0xffff;
 
@@ -22,7 +21,6 @@ pub(crate) struct DeviceTarget {
     pub(crate) pixels: UsedPixels,
     /// Colour 3, depth, normal 3, label with [`COLORED`]; row by row.
     pub(crate) words: wgpu::Buffer,
-    pub(crate) bytes: u64,
 }
 
 /// Returns the words of a frame. Pixels with a colour, depth or normal that is not finite are excluded from that
@@ -32,12 +30,10 @@ pub(crate) fn words_of(frame: &TrainFrame, classes: usize) -> (Vec<[u32; 8]>, Us
     let words: Vec<[u32; 8]> = pixels
         .map(|(((color, depth), normal), label)| {
             let mut words = [0; 8];
-            let mut label_word = UNLABELLED;
-            if usize::from(*label) < classes {
-                label_word = u32::from(*label);
-            }
+            let labelled = usize::from(*label) < classes;
+            words[7] = if labelled { u32::from(*label) } else { UNLABELLED };
             if color.iter().all(|c| c.abs() <= COLOR_MAX) {
-                label_word |= COLORED;
+                words[7] |= COLORED;
                 (0..3).for_each(|c| words[c] = color[c].to_bits());
             }
             if *depth > 0.0 && *depth <= DEPTH_MAX {
@@ -47,7 +43,6 @@ pub(crate) fn words_of(frame: &TrainFrame, classes: usize) -> (Vec<[u32; 8]>, Us
             if (length - 1.0).abs() < 0.5 {
                 (0..3).for_each(|c| words[4 + c] = normal[c].to_bits());
             }
-            words[7] = label_word;
             words
         })
         .collect();
@@ -70,8 +65,7 @@ impl DeviceTarget {
         let sizes = [frame.color.len(), frame.depth.len(), frame.normal_w.len(), frame.label.len()];
         assert_eq!(sizes, [count; 4], "every buffer has one entry per pixel of the camera");
         let (words, pixels) = words_of(frame, classes);
-        let bytes: &[u8] = bytemuck::cast_slice(&words);
-        let buffer = gpu.upload("observed", bytes, wgpu::BufferUsages::STORAGE);
-        Self { camera: Step::of_camera(&frame.camera), pixels, words: buffer, bytes: bytes.len() as u64 }
+        let words = gpu.upload("observed", bytemuck::cast_slice(&words), wgpu::BufferUsages::STORAGE);
+        Self { camera: Step::of_camera(&frame.camera), pixels, words }
     }
 }

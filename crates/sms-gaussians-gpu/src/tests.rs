@@ -2,10 +2,10 @@
 //! continuous integration). Without an adapter, the tests print a line and pass.
 
 use crate::compare::{ErrorSpread, GROUPS, first_moments, images, relative};
+use crate::oracle::Oracle;
 use crate::probe::{BACKGROUND, CLASSES, camera, fill, frame};
-use crate::{AdapterChoice, GpuTrainer, KernelForm, SelfCheck, adapters};
+use crate::{AdapterChoice, GpuTrainer, SelfCheck, adapters};
 use sms_core::{Camera, Seed};
-use sms_gaussians::oracle::Oracle;
 use sms_gaussians::parameters::Parameters;
 use sms_gaussians::{
     CpuTrainer, DepthTerm, LearningRates, LossWeights, Seedling, StepBatch, TrainConfig, Trainer,
@@ -14,7 +14,10 @@ use sms_gaussians::{
 const SIZE: (usize, usize) = (61, 37);
 const COUNT: usize = 150;
 const SEED: Seed = Seed(2);
-const FAST: KernelForm = KernelForm { checked: false };
+/// Kernels without guards.
+const FAST: bool = false;
+/// Guarded kernels.
+const GUARDED: bool = true;
 
 /// Returns the adapter to test, or `None` with a printed line. `SMS_TEST_ADAPTER` selects another adapter than the
 /// first.
@@ -27,13 +30,13 @@ pub(crate) fn adapter() -> Option<AdapterChoice> {
     None
 }
 
-fn gpu(config: &TrainConfig, form: KernelForm) -> Option<GpuTrainer> {
-    let made = GpuTrainer::with_form(config, CLASSES, SEED, adapter()?, form);
+fn gpu(config: &TrainConfig, guarded: bool) -> Option<GpuTrainer> {
+    let made = GpuTrainer::with_kernels(config, CLASSES, SEED, adapter()?, guarded);
     Some(made.unwrap_or_else(|e| panic!("{e}")))
 }
 
-fn filled_pair(config: &TrainConfig, form: KernelForm) -> Option<(CpuTrainer, GpuTrainer)> {
-    let (mut cpu, mut gpu) = (CpuTrainer::new(config, CLASSES, SEED), gpu(config, form)?);
+fn filled_pair(config: &TrainConfig, guarded: bool) -> Option<(CpuTrainer, GpuTrainer)> {
+    let (mut cpu, mut gpu) = (CpuTrainer::new(config, CLASSES, SEED), gpu(config, guarded)?);
     fill(&mut cpu, SIZE, COUNT);
     fill(&mut gpu, SIZE, COUNT);
     Some((cpu, gpu))
@@ -73,10 +76,10 @@ fn images_equal_the_cpu_and_the_oracle() {
 }
 
 /// Gradients of one step: Adam's first moments after a step with zero learning rates.
-fn compare_gradients(config: &TrainConfig, form: KernelForm) -> Option<f64> {
+fn compare_gradients(config: &TrainConfig, guarded: bool) -> Option<f64> {
     let still = LearningRates::default().scaled(0.0);
     let config = TrainConfig { rates: still, ..*config };
-    let (mut cpu, mut gpu) = filled_pair(&config, form)?;
+    let (mut cpu, mut gpu) = filled_pair(&config, guarded)?;
     let oracle = oracle(&cpu, &config);
     let (a, b) = (gpu.steps(&[0]), cpu.steps(&[0]));
     assert_eq!(gpu.failure(), None);
@@ -155,7 +158,7 @@ fn gradients_equal_the_cpu_and_the_oracle() {
 
 #[test]
 fn with_guards_the_gradients_are_the_same() {
-    compare_gradients(&TrainConfig::default(), KernelForm { checked: true });
+    compare_gradients(&TrainConfig::default(), GUARDED);
 }
 
 #[test]

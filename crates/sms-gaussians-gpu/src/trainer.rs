@@ -1,9 +1,9 @@
 //! [`GpuTrainer`]: the back end of the scan on a GPU.
 
 use crate::gpu::{AdapterChoice, AdapterSummary, Gpu, GpuError};
-use crate::kernels::{ComputeKernel, GAUSSIANS, KernelForm, Kernels};
+use crate::kernels::{ComputeKernel, GAUSSIANS, Kernels};
 use crate::maps::maps_of;
-use crate::steps::{of_step, of_view, record, segment_groups, timed};
+use crate::steps::{Dispatch, of_step, of_view, record, segment_groups, submit, timed};
 use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS, PAIRS_WANTED, STEPS_DONE, Store};
 use crate::target::DeviceTarget;
 use crate::uniforms::{STRIDE, Step};
@@ -68,26 +68,23 @@ impl GpuTrainer {
         seed: Seed,
         choice: AdapterChoice,
     ) -> Result<Self, GpuError> {
-        Self::with_form(config, classes, seed, choice, KernelForm::default())
+        Self::with_kernels(config, classes, seed, choice, false)
     }
 
-    /// Like [`GpuTrainer::new`], with kernels of a given form, for comparison.
-    ///
-    /// # Errors
-    /// As [`GpuTrainer::new`].
-    pub fn with_form(
+    /// Like [`GpuTrainer::new`], with guarded kernels for comparison or without guards.
+    pub(crate) fn with_kernels(
         config: &TrainConfig,
         classes: usize,
         seed: Seed,
         choice: AdapterChoice,
-        form: KernelForm,
+        guarded: bool,
     ) -> Result<Self, GpuError> {
         let classes = classes.max(1);
         if classes > MAX_CLASSES {
             return Err(GpuError::TooManyClasses { classes, most: MAX_CLASSES });
         }
         let gpu = Gpu::open(choice)?;
-        let kernels = Kernels::new(&gpu, classes, form);
+        let kernels = Kernels::new(&gpu, classes, guarded);
         if let Some(reason) = gpu.failure() {
             return Err(GpuError::Unsuitable { name: gpu.summary.name.clone(), reason });
         }
@@ -120,7 +117,7 @@ impl GpuTrainer {
 
     /// Returns the bytes of all buffers on the device: the state, the buffers of steps, and the observed views.
     pub fn device_bytes(&self) -> u64 {
-        self.store.bytes() + self.work.bytes() + self.targets.iter().map(|t| t.bytes).sum::<u64>()
+        self.store.bytes() + self.work.bytes() + self.targets.iter().map(|t| t.words.size()).sum::<u64>()
     }
 
     /// Returns the pairs of splat and tile in the last step or rendered view, which determine most of a step's
@@ -143,26 +140,6 @@ impl GpuTrainer {
         let times = timed(gpu, &of_step(kernels, bindings, &step), views[frame].as_ref()?);
         self.reset_flags();
         times
-    }
-
-    /// Destroys the device, as a fault or an unplugged GPU would: for tests.
-    #[doc(hidden)]
-    pub fn lose_device(&self) {
-        self.gpu.device.destroy();
-    }
-
-    /// Restarts with this capacity in pairs: for tests of growth.
-    #[doc(hidden)]
-    pub fn shrink_pairs(&mut self, pairs: u32) {
-        self.work = StepBuffers::new(&self.gpu, self.store.classes);
-        self.views.iter_mut().for_each(|view| *view = None);
-        self.pairs_wanted = pairs;
-    }
-
-    /// Returns the capacity in pairs of splat and tile, which grows on demand.
-    #[doc(hidden)]
-    pub fn pairs(&self) -> u32 {
-        self.work.room.pairs
     }
 
     /// Prepares buffers and bind groups for steps on these frames.
@@ -222,14 +199,13 @@ impl GpuTrainer {
         self.gpu.queue.write_buffer(&self.work.uniforms, 0, &uniforms);
         let Self { gpu, kernels, work, store, views, staging, .. } = self;
         let (control_bytes, stats_bytes) = result_bytes(steps.len());
-        let mut at = 0;
-        while at < steps.len() {
-            let end = (at + TOGETHER).min(steps.len());
+        for first in (0..steps.len()).step_by(TOGETHER) {
+            let end = (first + TOGETHER).min(steps.len());
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             {
                 let bindings = work.bindings(gpu, kernels, store);
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-                for i in at..end {
+                for i in first..end {
                     let view = views[frames[i]].as_ref()?;
                     record(&mut pass, &of_step(kernels, bindings, &steps[i]), view, i);
                 }
@@ -239,7 +215,6 @@ impl GpuTrainer {
                 encoder.copy_buffer_to_buffer(&work.stats, 0, staging, control_bytes, stats_bytes);
             }
             gpu.queue.submit([encoder.finish()]);
-            at = end;
         }
         Some(())
     }
@@ -256,7 +231,7 @@ impl GpuTrainer {
         let done = (control[STEPS_DONE] as usize).min(planned.len());
         for (planned, stats) in planned.iter().zip(stats.chunks_exact(STATS)).take(done) {
             if let Some(batch) = planned.batch {
-                add(&mut sums[batch], &self.terms(planned.frame, stats));
+                sums[batch].add(&self.terms(planned.frame, stats), 1.0);
             }
         }
         self.after(&control);
@@ -282,11 +257,10 @@ impl GpuTrainer {
     fn terms(&self, frame: FrameId, sums: &[f32]) -> LossTerms {
         let target = &self.targets[frame];
         let used = &target.pixels;
-        let w = &self.config.weights;
         let mean = |sum: f32, count: usize| if count > 0 { sum / count as f32 } else { 0.0 };
         let step = target.camera.trained(&self.config, used);
         let similarity = mean(sums[3], 3 * target.camera.pixels());
-        let mut terms = LossTerms {
+        LossTerms {
             color_l1: mean(sums[0], 3 * used.colored),
             // The CPU computes this term even without weight; here it would cost two kernels.
             dssim: if step.other_weights[0] != 0.0 { 1.0 - similarity } else { 0.0 },
@@ -296,14 +270,8 @@ impl GpuTrainer {
             isotropic: sums[5] / sums[7].max(1.0),
             flat: sums[6] / sums[7].max(1.0),
             total: 0.0,
-        };
-        terms.total = w.color * ((1.0 - w.ssim) * terms.color_l1 + w.ssim * terms.dssim)
-            + w.isotropic * terms.isotropic
-            + w.depth * terms.depth
-            + w.normal * terms.normal
-            + w.flat * terms.flat
-            + w.segmentation * terms.segmentation;
-        terms
+        }
+        .with_total(&self.config.weights)
     }
 
     /// Renders once; `Some(None)` if the capacity in pairs was too small, which is then increased; `None` after a
@@ -316,22 +284,15 @@ impl GpuTrainer {
         self.gpu.queue.write_buffer(&self.work.uniforms, 0, bytemuck::bytes_of(&step));
         let view = self.work.bind_view(&self.gpu, &self.kernels, &self.nothing);
         let Self { gpu, kernels, work, store, spare_maps, .. } = self;
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let bindings = work.bindings(gpu, kernels, store);
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            record(&mut pass, &of_view(kernels, bindings, &step), &view, 0);
-        }
-        gpu.queue.submit([encoder.finish()]);
+        submit(gpu, &of_view(kernels, work.bindings(gpu, kernels, store), &step), &view);
         let parts = [(&store.control, 4 * CONTROL_WORDS as u64), (work.maps(), 36 * camera.pixels() as u64)];
         let (control, maps) = gpu.read_with(parts, |[control, maps]| {
             let control: Vec<u32> = bytemuck::pod_collect_to_vec(control);
-            let fits = control[OVERFLOWED] == 0;
-            let mut make = || {
+            let maps = (control[OVERFLOWED] == 0).then(|| {
                 let spare = spare_maps.pop().unwrap_or_default();
                 maps_of(bytemuck::cast_slice(maps), camera.size[0] as usize, spare)
-            };
-            (control, fits.then(&mut make))
+            });
+            (control, maps)
         })?;
         self.after(&control);
         Some(maps)
@@ -340,19 +301,11 @@ impl GpuTrainer {
     /// Runs a kernel over the present Gaussians, outside of any step.
     fn run_over(&self, kernel: &ComputeKernel, buffers: &[&wgpu::Buffer], count: u32, groups: u32) {
         let Self { gpu, kernels, work, nothing, .. } = self;
-        let buffers = bind(gpu, kernel, buffers);
+        let buffers = &bind(gpu, kernel, buffers);
         let view = work.bind_view(gpu, kernels, nothing);
         let step = Step { counts: [count, 0, 0, 0], ..Step::default() };
         gpu.queue.write_buffer(&work.uniforms, 0, bytemuck::bytes_of(&step));
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            pass.set_pipeline(&kernel.pipeline);
-            pass.set_bind_group(0, &buffers, &[]);
-            pass.set_bind_group(1, &view, &[0]);
-            pass.dispatch_workgroups(groups, 1, 1);
-        }
-        gpu.queue.submit([encoder.finish()]);
+        submit(gpu, &[Dispatch { name: kernel.name, kernel, buffers, groups: [groups, 1] }], &view);
     }
 
     /// Applies `see` to the position and the logit of the opacity of each Gaussian; to zeros after a failure.
@@ -396,33 +349,6 @@ struct PlannedStep {
     rates: LearningRates,
     /// The batch that reports its losses, if any.
     batch: Option<usize>,
-}
-
-/// Adds every term.
-fn add(sum: &mut LossTerms, terms: &LossTerms) {
-    sum.color_l1 += terms.color_l1;
-    sum.dssim += terms.dssim;
-    sum.isotropic += terms.isotropic;
-    sum.depth += terms.depth;
-    sum.normal += terms.normal;
-    sum.flat += terms.flat;
-    sum.segmentation += terms.segmentation;
-    sum.total += terms.total;
-}
-
-/// Divides all terms by the number of steps.
-fn averaged(sum: &LossTerms, count: usize) -> LossTerms {
-    let share = 1.0 / count.max(1) as f32;
-    LossTerms {
-        color_l1: sum.color_l1 * share,
-        dssim: sum.dssim * share,
-        isotropic: sum.isotropic * share,
-        depth: sum.depth * share,
-        normal: sum.normal * share,
-        flat: sum.flat * share,
-        segmentation: sum.segmentation * share,
-        total: sum.total * share,
-    }
 }
 
 impl Trainer for GpuTrainer {
@@ -483,16 +409,13 @@ impl Trainer for GpuTrainer {
     ) -> (Vec<StepStats>, Option<FrameId>) {
         let mut planned = Vec::new();
         for (i, batch) in batches.iter().enumerate() {
-            self.config.rates = batch.rates;
+            let rates = batch.rates;
+            self.config.rates = rates;
             let own = batch.own.iter().map(|&frame| (frame, Some(i)));
             let all = own.chain(batch.replayed.iter().map(|&frame| (frame, None)));
             // Views without pixels are skipped.
             let shown = all.filter(|(frame, _)| self.targets[*frame].camera.pixels() > 0);
-            planned.extend(shown.map(|(frame, batch_of)| PlannedStep {
-                frame,
-                rates: batch.rates,
-                batch: batch_of,
-            }));
+            planned.extend(shown.map(|(frame, batch)| PlannedStep { frame, rates, batch }));
         }
         let mut sums = vec![LossTerms::default(); batches.len()];
         let (mut next, mut added) = (Some(next), None);
@@ -512,9 +435,10 @@ impl Trainer for GpuTrainer {
             added = make().map(|frame| self.add_frame(frame));
         }
         let left = |i: usize| rest.iter().filter(|p| p.batch == Some(i)).count();
-        let stats = |(i, (batch, sum)): (usize, (&StepBatch, &LossTerms))| StepStats {
-            loss: averaged(sum, batch.own.len()),
-            steps: (batch.own.len() - left(i)) as u32,
+        let stats = |(i, (batch, sum)): (usize, (&StepBatch, &LossTerms))| {
+            let mut stats = StepStats { steps: (batch.own.len() - left(i)) as u32, ..StepStats::default() };
+            stats.loss.add(sum, 1.0 / batch.own.len().max(1) as f32);
+            stats
         };
         (batches.iter().zip(&sums).enumerate().map(stats).collect(), added)
     }
@@ -530,16 +454,16 @@ impl Trainer for GpuTrainer {
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
         let step = Step::of_camera(camera);
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        if width * height == 0 {
-            return RenderedMaps { width, height, ..RenderedMaps::default() };
-        }
-        loop {
+        while width * height > 0 {
             match self.try_render(&step) {
                 Some(Some(maps)) => return maps,
                 Some(None) => {}
-                None => return maps_of(&vec![0.0; 9 * width * height], width, RenderedMaps::default()),
+                None => break,
             }
         }
+        let mut blank = RenderedMaps::default();
+        blank.resize(width, height);
+        blank
     }
 
     fn recycle(&mut self, maps: RenderedMaps) {
@@ -573,13 +497,7 @@ impl Trainer for GpuTrainer {
     }
 
     fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError> {
-        let parameters = Parameters::decode(state)?;
-        if parameters.classifier.classes != self.store.classes {
-            return Err(TrainerError::BadState(format!(
-                "it has {} classes, the masks have {}",
-                parameters.classifier.classes, self.store.classes
-            )));
-        }
+        let parameters = Parameters::decode_for(self.store.classes, state)?;
         self.store.set(&self.gpu, &parameters);
         self.work.forget_bindings();
         Ok(())
@@ -589,7 +507,7 @@ impl Trainer for GpuTrainer {
         let mut parameters = self.parameters();
         change(&mut parameters);
         if !parameters.is_finite() {
-            return Err(TrainerError::BadState("it holds a number that is not finite".to_owned()));
+            return Err(TrainerError::not_finite());
         }
         self.store.set(&self.gpu, &parameters);
         self.work.forget_bindings();
@@ -599,5 +517,25 @@ impl Trainer for GpuTrainer {
     fn failure(&self) -> Option<String> {
         let name = &self.gpu.summary.name;
         self.gpu.failure().map(|reason| format!("{name}: {reason}"))
+    }
+}
+
+#[cfg(test)]
+impl GpuTrainer {
+    /// Destroys the device, as a fault or an unplugged GPU would.
+    pub(crate) fn lose_device(&self) {
+        self.gpu.device.destroy();
+    }
+
+    /// Restarts with this capacity in pairs, to test its growth.
+    pub(crate) fn shrink_pairs(&mut self, pairs: u32) {
+        self.work = StepBuffers::new(&self.gpu, self.store.classes);
+        self.views.iter_mut().for_each(|view| *view = None);
+        self.pairs_wanted = pairs;
+    }
+
+    /// Returns the capacity in pairs of splat and tile.
+    pub(crate) fn pairs(&self) -> u32 {
+        self.work.room.pairs
     }
 }

@@ -27,16 +27,6 @@ pub(crate) struct Room {
     pub(crate) shown: u32,
 }
 
-impl Room {
-    fn covers(&self, wanted: &Self) -> bool {
-        self.gaussians >= wanted.gaussians
-            && self.tiles >= wanted.tiles
-            && self.pixels >= wanted.pixels
-            && self.pairs >= wanted.pairs
-            && self.shown >= wanted.shown
-    }
-}
-
 /// The buffers of a step.
 pub(crate) struct StepBuffers {
     pub(crate) room: Room,
@@ -67,6 +57,8 @@ struct Buffers {
     pair_slots: wgpu::Buffer,
     slots: wgpu::Buffer,
     maps: wgpu::Buffer,
+    /// Bytes of all of them.
+    bytes: u64,
 }
 
 /// Bind groups of the kernels, in the order of [`Kernels`].
@@ -93,7 +85,12 @@ impl Buffers {
     fn new(gpu: &Gpu, room: &Room, classes: usize, partial_stride: u32) -> Self {
         let [n, tiles, pixels, pairs, shown] =
             [room.gaussians, room.tiles, room.pixels, room.pairs, room.shown].map(u64::from);
-        let buffer = |label, bytes| gpu.buffer(label, bytes, BufferUsages::empty());
+        let mut bytes = 0;
+        let mut buffer = |label, size| {
+            let buffer = gpu.buffer(label, size, BufferUsages::empty());
+            bytes += buffer.size();
+            buffer
+        };
         let of_tiles = 6 * 16 * u64::from(TILE_PIXELS) * tiles;
         Self {
             records: buffer("records", 64 * n),
@@ -113,6 +110,7 @@ impl Buffers {
             pair_slots: buffer("pair slots", 4 * pairs),
             slots: buffer("slots", 128 * pairs),
             maps: buffer("maps", 36 * shown),
+            bytes,
         }
     }
 }
@@ -141,9 +139,6 @@ impl StepBuffers {
 
     /// Grows the buffers as needed; growing loses their contents.
     pub(crate) fn reserve(&mut self, gpu: &Gpu, classes: usize, wanted: &Room) {
-        if self.room.covers(wanted) {
-            return;
-        }
         let (a, b) = (self.room, wanted);
         // Gaussians and pairs grow gradually; while they are few, by half, since all buffers are recreated.
         let more = if b.gaussians < FEW { 2 } else { 4 };
@@ -155,6 +150,9 @@ impl StepBuffers {
             pairs: grown(a.pairs, b.pairs),
             shown: a.shown.max(b.shown),
         };
+        if room == self.room {
+            return;
+        }
         self.partial_stride = partial_stride(&room);
         self.buffers = Buffers::new(gpu, &room, classes, self.partial_stride);
         self.room = room;
@@ -167,63 +165,40 @@ impl StepBuffers {
     }
 
     pub(crate) fn bindings(&mut self, gpu: &Gpu, kernels: &Kernels, store: &Store) -> &Bindings {
-        let Self { bindings, buffers: b, modes, stats, .. } = self;
+        let Self { bindings, buffers: b, modes: [counting, filling], stats, .. } = self;
+        let Store { rows, moments, steps, classifier, classifier_moments, corrections, control, .. } = store;
+        let bind = |kernel, buffers: &[&wgpu::Buffer]| bind(gpu, kernel, buffers);
         bindings.get_or_insert_with(|| Bindings {
-            project: bind(gpu, &kernels.project, &[&store.rows, &b.records, &b.outlines, &store.control]),
-            count: bind(gpu, &kernels.visit, &b.visit(store, &modes[0])),
-            fill: bind(gpu, &kernels.visit, &b.visit(store, &modes[1])),
-            count_large: bind(gpu, &kernels.visit_large, &b.visit(store, &modes[0])),
-            fill_large: bind(gpu, &kernels.visit_large, &b.visit(store, &modes[1])),
-            place: bind(gpu, &kernels.place, &[&b.tile_counts, &b.lists, &store.control]),
-            sort: bind(gpu, &kernels.sort, &[&b.lists, &b.tile_counts, &b.keys, &b.pair_slots]),
-            forward: bind(
-                gpu,
-                &kernels.forward,
-                &[&store.rows, &b.records, &b.lists, &b.keys, &b.image, &b.used],
-            ),
-            ssim: bind(gpu, &kernels.ssim, &[&b.image, &b.derivatives, &b.partials]),
-            loss: bind(gpu, &kernels.loss, &[&b.image, &b.derivatives, &b.gradient, &b.partials]),
+            project: bind(&kernels.project, &[rows, &b.records, &b.outlines, control]),
+            count: bind(&kernels.visit, &b.visit(control, counting)),
+            fill: bind(&kernels.visit, &b.visit(control, filling)),
+            count_large: bind(&kernels.visit_large, &b.visit(control, counting)),
+            fill_large: bind(&kernels.visit_large, &b.visit(control, filling)),
+            place: bind(&kernels.place, &[&b.tile_counts, &b.lists, control]),
+            sort: bind(&kernels.sort, &[&b.lists, &b.tile_counts, &b.keys, &b.pair_slots]),
+            forward: bind(&kernels.forward, &[rows, &b.records, &b.lists, &b.keys, &b.image, &b.used]),
+            ssim: bind(&kernels.ssim, &[&b.image, &b.derivatives, &b.partials]),
+            loss: bind(&kernels.loss, &[&b.image, &b.derivatives, &b.gradient, &b.partials]),
             segment: bind(
-                gpu,
                 &kernels.segment,
-                &[&b.image, &b.gradient, &store.classifier, &b.shares, &b.partials, &store.control],
+                &[&b.image, &b.gradient, classifier, &b.shares, &b.partials, control],
             ),
             backward: bind(
-                gpu,
                 &kernels.backward,
-                &[&store.rows, &b.records, &b.lists, &b.keys, &b.used, &b.image, &b.gradient, &b.slots],
+                &[rows, &b.records, &b.lists, &b.keys, &b.used, &b.image, &b.gradient, &b.slots],
             ),
-            reduce: bind(gpu, &kernels.reduce, &[&b.spans, &b.slots, &b.sums, &store.control]),
+            reduce: bind(&kernels.reduce, &[&b.spans, &b.slots, &b.sums, control]),
             update: bind(
-                gpu,
                 &kernels.update,
-                &[
-                    &store.rows,
-                    &store.moments,
-                    &store.steps,
-                    &b.sums,
-                    &store.corrections,
-                    &b.partials,
-                    &store.control,
-                ],
+                &[rows, moments, steps, &b.sums, corrections, &b.partials, control],
             ),
             finish: bind(
-                gpu,
                 &kernels.finish,
-                &[
-                    &b.shares,
-                    &b.partials,
-                    &store.classifier,
-                    &store.classifier_moments,
-                    &store.corrections,
-                    &store.control,
-                    &*stats,
-                ],
+                &[&b.shares, &b.partials, classifier, classifier_moments, corrections, control, stats],
             ),
             maps: bind(
-                gpu,
                 &kernels.maps,
-                &[&b.records, &b.lists, &b.keys, &b.used, &b.image, &store.classifier, &b.maps],
+                &[&b.records, &b.lists, &b.keys, &b.used, &b.image, classifier, &b.maps],
             ),
         })
     }
@@ -235,29 +210,7 @@ impl StepBuffers {
 
     /// Bytes on the device.
     pub(crate) fn bytes(&self) -> u64 {
-        let b = &self.buffers;
-        let buffers = [
-            &b.records,
-            &b.outlines,
-            &b.spans,
-            &b.large,
-            &b.sums,
-            &b.tile_counts,
-            &b.lists,
-            &b.used,
-            &b.image,
-            &b.gradient,
-            &b.derivatives,
-            &b.partials,
-            &b.shares,
-            &b.keys,
-            &b.pair_slots,
-            &b.slots,
-            &b.maps,
-            &self.uniforms,
-            &self.stats,
-        ];
-        buffers.iter().map(|b| b.size()).sum()
+        self.buffers.bytes + self.uniforms.size() + self.stats.size()
     }
 
     /// Returns the bind group of a view: the uniforms of the steps and the observations.
@@ -279,7 +232,7 @@ impl StepBuffers {
 }
 
 impl Buffers {
-    fn visit<'a>(&'a self, store: &'a Store, mode: &'a wgpu::Buffer) -> [&'a wgpu::Buffer; 9] {
+    fn visit<'a>(&'a self, control: &'a wgpu::Buffer, mode: &'a wgpu::Buffer) -> [&'a wgpu::Buffer; 9] {
         [
             &self.records,
             &self.outlines,
@@ -287,7 +240,7 @@ impl Buffers {
             &self.tile_counts,
             &self.keys,
             &self.pair_slots,
-            &store.control,
+            control,
             mode,
             &self.large,
         ]

@@ -36,7 +36,7 @@ fn main() {
                     for _ in 0..steps {
                         let before = trainer.times();
                         pool.install(|| trainer.steps(&[0]));
-                        let seconds = trainer.times().since(&before).parts()[part];
+                        let seconds = trainer.times().parts()[part] - before.parts()[part];
                         let least = shortest.entry((part, form)).or_insert(f64::INFINITY);
                         *least = seconds.min(*least);
                         sum += seconds;

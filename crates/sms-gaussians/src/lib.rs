@@ -2,8 +2,8 @@
 //!
 //! [`scan`] turns posed RGB-D frames with labels into a [`GaussianModel`] (paper, Section "Scan"): each frame is seeded
 //! and optimised in turn while earlier frames are replayed. A back end is a [`Trainer`], which takes whole training
-//! steps. This crate contains [`CpuTrainer`], and [`oracle`], a double-precision reference for its tests. [`write_ply`]
-//! and [`read_ply`] store the model as a standard 3D Gaussian Splatting file.
+//! steps. This crate contains [`CpuTrainer`]; its tests compare with a reference in double precision (`tests/oracle`).
+//! [`write_ply`] and [`read_ply`] store the model as a standard 3D Gaussian Splatting file.
 //!
 //! ```
 //! use sms_core::{BACKGROUND, Camera, Cancel, Image, Intrinsics, Labels, MaskSource};
@@ -38,16 +38,22 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+#[cfg(test)]
+extern crate self as sms_gaussians;
+
 mod config;
 mod cpu;
 mod model;
-pub mod oracle;
+#[cfg(test)]
+#[path = "../tests/oracle/mod.rs"]
+mod oracle;
+#[cfg(test)]
+mod oracle_tests;
 pub mod parameters;
 mod scan;
 #[cfg(test)]
 mod test_scene;
 mod trainer;
-mod wall;
 
 pub use config::{DepthTerm, LearningRates, LossWeights, TrainConfig};
 pub use cpu::limits;
@@ -63,4 +69,3 @@ pub use trainer::{
     FrameId, LossTerms, RenderedMaps, Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer,
     TrainerError,
 };
-pub use wall::{WALL_CLASSES, fill_wall};

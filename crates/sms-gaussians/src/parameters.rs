@@ -85,6 +85,11 @@ impl ClassifierState {
         w1.iter_mut().for_each(|w| *w = rng.random_range(-bound..bound));
         let bound = (3.0 / HIDDEN_DIM as f32).sqrt();
         w2.iter_mut().for_each(|w| *w = rng.random_range(-bound..bound));
+        Self::without_moments(classes, values)
+    }
+
+    /// These values with zeroed moments.
+    pub(crate) fn without_moments(classes: usize, values: Vec<f32>) -> Self {
         let zeros = vec![0.0; values.len()];
         Self { classes, values, first: zeros.clone(), second: zeros, steps: 0 }
     }
@@ -266,6 +271,18 @@ impl Parameters {
             },
         };
         if read.is_finite() { Ok(read) } else { Err(TrainerError::not_finite()) }
+    }
+
+    /// [`Parameters::decode`] for a trainer with `classes` classes.
+    ///
+    /// # Errors
+    /// As [`Parameters::decode`], and if the state has another number of classes.
+    pub fn decode_for(classes: usize, state: &TrainState) -> Result<Self, TrainerError> {
+        let read = Self::decode(state)?;
+        match read.classifier.classes {
+            found if found == classes => Ok(read),
+            found => Err(TrainerError::BadState(format!("it has {found} classes, the masks have {classes}"))),
+        }
     }
 }
 

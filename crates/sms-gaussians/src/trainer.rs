@@ -4,7 +4,7 @@
 //! Adam moments are below it, on the device.
 
 use crate::parameters::Parameters;
-use crate::{AFFINITY_DIM, Classifier, GaussianModel, LearningRates};
+use crate::{AFFINITY_DIM, Classifier, GaussianModel, LearningRates, LossWeights};
 use glamx::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{Camera, CoreError};
@@ -62,6 +62,32 @@ pub struct LossTerms {
     pub total: f32,
 }
 
+impl LossTerms {
+    /// Adds every term of `terms` times `share`.
+    pub fn add(&mut self, terms: &Self, share: f32) {
+        self.color_l1 += terms.color_l1 * share;
+        self.dssim += terms.dssim * share;
+        self.isotropic += terms.isotropic * share;
+        self.depth += terms.depth * share;
+        self.normal += terms.normal * share;
+        self.flat += terms.flat * share;
+        self.segmentation += terms.segmentation * share;
+        self.total += terms.total * share;
+    }
+
+    /// Sets the total to the weighted sum of the other terms.
+    #[must_use]
+    pub fn with_total(self, w: &LossWeights) -> Self {
+        let total = w.color * ((1.0 - w.ssim) * self.color_l1 + w.ssim * self.dssim)
+            + w.isotropic * self.isotropic
+            + w.depth * self.depth
+            + w.normal * self.normal
+            + w.flat * self.flat
+            + w.segmentation * self.segmentation;
+        Self { total, ..self }
+    }
+}
+
 /// Result of a batch of steps: the terms averaged over the batch.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct StepStats {
@@ -104,6 +130,19 @@ pub struct RenderedMaps {
     pub label: Vec<u16>,
 }
 
+impl RenderedMaps {
+    /// Resizes all maps; new pixels are zero.
+    pub fn resize(&mut self, width: usize, height: usize) {
+        let pixels = width * height;
+        (self.width, self.height) = (width, height);
+        self.color.resize(pixels, [0.0; 3]);
+        self.alpha.resize(pixels, 0.0);
+        self.depth.resize(pixels, 0.0);
+        self.normal_w.resize(pixels, [0.0; 3]);
+        self.label.resize(pixels, 0);
+    }
+}
+
 /// The state needed to continue training exactly: parameters in the optimiser's own units, moments, step counts.
 /// All back ends share the same layout.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -128,7 +167,7 @@ pub enum TrainerError {
 
 impl TrainerError {
     /// A state with a number that is not finite.
-    pub(crate) fn not_finite() -> Self {
+    pub fn not_finite() -> Self {
         Self::BadState("it holds a number that is not finite".to_owned())
     }
 }

@@ -1,7 +1,10 @@
 //! The trainer for the benches.
 
+mod wall;
+
 use sms_core::Seed;
-use sms_gaussians::{CpuTrainer, SimdForm, TrainConfig, WALL_CLASSES, fill_wall};
+use sms_gaussians::{CpuTrainer, SimdForm, TrainConfig};
+use wall::{WALL_CLASSES, fill_wall};
 
 /// A trainer of `count` Gaussians with one frame, after three steps; `None` if this CPU cannot run the form.
 pub(crate) fn trainer(

@@ -11,16 +11,12 @@ use super::prefetch::prefetch;
 use super::project::{Outline, Projected};
 use super::ssim::SsimScratch;
 use super::target::TileGrid;
-use super::tile::{PATCH_ROWS, PATCHES, PatchGradient, Splat, SplatGradient, TILE};
+use super::tile::{BAND_ROWS, BAND_TILES, PATCH_ROWS, PATCHES, PatchGradient, Splat, SplatGradient, TILE};
 use super::times::StepTimes;
 use crate::parameters::Row;
 
-/// Rows of tiles in a band. A constant, because it shapes the order of sums.
-pub(super) const BAND_TILES: usize = 2;
-/// Rows of pixels in a band.
-pub(super) const BAND_ROWS: usize = BAND_TILES * TILE;
 /// Rows of patches in a band.
-pub(super) const BAND_PATCHES: usize = BAND_TILES * PATCHES;
+const BAND_PATCHES: usize = BAND_TILES * PATCHES;
 
 /// Bands that a Gaussian may touch, `first..end`; empty if it is invisible.
 #[derive(Debug, Clone, Copy, Default)]

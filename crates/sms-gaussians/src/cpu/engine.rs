@@ -1,6 +1,6 @@
 //! The passes of a step over all bands: project, bin, blend, SSIM, losses, gradients.
 
-use super::bands::{BAND_ROWS, BAND_TILES, Band, BandSums, Slots, Span, bin_band};
+use super::bands::{Band, BandSums, Slots, Span, bin_band};
 use super::blend::blend_patch;
 use super::lanes::Simd;
 use super::losses::{BandGradient, PixelWeights, tile_losses, tile_rows};
@@ -10,7 +10,7 @@ use super::prefetch::prefetch;
 use super::project::{CameraView, Projected, project_rows};
 use super::ssim::{DERIVATIVES, ssim_band, ssim_gradient_band};
 use super::target::{TileGrid, TiledTarget};
-use super::tile::{PATCHES, PatchImage, SplatGradient, TILE, TileImage};
+use super::tile::{BAND_ROWS, BAND_TILES, PATCHES, PatchImage, SplatGradient, TILE, TileImage};
 use super::times::StepTimes;
 use super::unblend::unblend_patch;
 use super::unproject::{GradientInputs, RegularizerSums, unproject_rows};
@@ -23,6 +23,7 @@ use std::time::Instant;
 const GAUSSIANS: usize = 256;
 
 /// Buffers of a step, with the results of the last one.
+#[derive(Default)]
 pub(super) struct Engine {
     pub(super) simd: Simd,
     pub(super) grid: TileGrid,
@@ -57,24 +58,7 @@ pub(super) struct Observed<'a> {
 
 impl Engine {
     pub(super) fn new(simd: Simd, classes: usize) -> Self {
-        Self {
-            simd,
-            grid: TileGrid::new(0, 0),
-            background: [0.0; 3],
-            bands: Vec::new(),
-            tiles: Vec::new(),
-            gradients: Vec::new(),
-            seen: Vec::new(),
-            classifier_gradient: Vec::new(),
-            classifier: PaddedClassifier::default(),
-            times: StepTimes::default(),
-            classes,
-            projected: Vec::new(),
-            slots: Slots::default(),
-            rendered: PaddedPlanes::default(),
-            derivatives: PaddedPlanes::default(),
-            regularizers: Vec::new(),
-        }
+        Self { simd, classes, ..Self::default() }
     }
 
     fn resize(&mut self, grid: TileGrid) {
@@ -200,18 +184,8 @@ impl Engine {
             |(index, (band, rows))| {
                 let start = Instant::now();
                 let (first, scratch) = (index * BAND_ROWS, &mut band.ssim);
-                band.sums.ssim = ssim_band(
-                    simd,
-                    rendered,
-                    &target.color,
-                    first,
-                    BAND_ROWS,
-                    size,
-                    scale,
-                    layout,
-                    rows,
-                    scratch,
-                );
+                band.sums.ssim =
+                    ssim_band(simd, rendered, &target.color, first, size, scale, layout, rows, scratch);
                 band.times.ssim += start.elapsed().as_secs_f64();
             },
         );
@@ -260,7 +234,6 @@ impl Engine {
                     &target.color,
                     derivatives,
                     first_row,
-                    BAND_ROWS,
                     size,
                     layout,
                     color_gradient.get_mut(),
@@ -275,7 +248,7 @@ impl Engine {
                     let observed = &target.tiles[first + i];
                     let corner = grid.corner(first + i);
                     let ssim = BandGradient { layout, rows: color_gradient.get(), first: first_row };
-                    let tile = tile_losses(
+                    tile_losses(
                         simd,
                         image,
                         observed,
@@ -284,10 +257,8 @@ impl Engine {
                         pixel_weights,
                         ssim,
                         tile_gradient,
+                        sums,
                     );
-                    sums.color += tile.color;
-                    sums.depth += tile.depth;
-                    sums.normal += tile.normal;
                     times.pixels += lap();
                     if i + 1 < tiles.len() {
                         prefetch(&target.tiles[first + i + 1]);
@@ -380,37 +351,22 @@ impl Engine {
         sample: Option<PatchSample>,
         [isotropic, flat]: [f64; 2],
     ) -> LossTerms {
-        let mut sums = BandSums::default();
-        for band in &self.bands {
-            sums.color += band.sums.color;
-            sums.ssim += band.sums.ssim;
-            sums.depth += band.sums.depth;
-            sums.normal += band.sums.normal;
-            sums.segmentation += band.sums.segmentation;
-        }
-        let mean = |sum: f64, pixels: usize| if pixels > 0 { (sum / pixels as f64) as f32 } else { 0.0 };
-        let pixels = 3 * target.grid.width * target.grid.height;
-        let mut terms = LossTerms {
-            color_l1: mean(sums.color, 3 * target.colored),
-            dssim: if pixels > 0 { 1.0 - mean(sums.ssim, pixels) } else { 0.0 },
-            isotropic: isotropic as f32,
-            depth: mean(sums.depth, target.deep),
-            normal: mean(sums.normal, target.oriented),
-            flat: flat as f32,
-            segmentation: mean(sums.segmentation, target.labelled) / sample.map_or(1.0, PatchSample::share),
-            total: 0.0,
+        // Without pixels, the mean is zero.
+        let mean = |of_band: fn(&BandSums) -> f64, pixels: usize| {
+            let sum: f64 = self.bands.iter().map(|band| of_band(&band.sums)).sum();
+            if pixels > 0 { (sum / pixels as f64) as f32 } else { 0.0 }
         };
-        terms.total = total(&terms, weights);
-        terms
+        let pixels = 3 * target.grid.width * target.grid.height;
+        LossTerms {
+            color_l1: mean(|s| s.color, 3 * target.colored),
+            dssim: if pixels > 0 { 1.0 - mean(|s| s.ssim, pixels) } else { 0.0 },
+            isotropic: isotropic as f32,
+            depth: mean(|s| s.depth, target.deep),
+            normal: mean(|s| s.normal, target.oriented),
+            flat: flat as f32,
+            segmentation: mean(|s| s.segmentation, target.labelled) / sample.map_or(1.0, PatchSample::share),
+            total: 0.0,
+        }
+        .with_total(weights)
     }
-}
-
-/// The weighted sum of the terms.
-pub(super) fn total(terms: &LossTerms, weights: &LossWeights) -> f32 {
-    weights.color * ((1.0 - weights.ssim) * terms.color_l1 + weights.ssim * terms.dssim)
-        + weights.isotropic * terms.isotropic
-        + weights.depth * terms.depth
-        + weights.normal * terms.normal
-        + weights.flat * terms.flat
-        + weights.segmentation * terms.segmentation
 }

@@ -138,9 +138,10 @@ pub(super) fn exp2_fraction<L: Lanes>(f: L) -> L {
 pub(super) const ROUNDING: f32 = 12_582_912.0;
 
 /// A compiled form of the CPU kernels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum SimdForm {
     /// The target's baseline instructions.
+    #[default]
     Portable,
     /// AVX2 with FMA.
     Avx2,
@@ -158,7 +159,7 @@ impl SimdForm {
 }
 
 /// Selects a compiled form of the kernels. A value other than the portable one proves that the CPU supports it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Simd {
     form: SimdForm,
 }
@@ -185,7 +186,7 @@ impl Simd {
     /// The best form that this CPU can run.
     pub(super) fn detect() -> Self {
         let best = SimdForm::available().last().copied();
-        best.and_then(Self::of).unwrap_or(Self { form: SimdForm::Portable })
+        best.and_then(Self::of).unwrap_or_default()
     }
 
     /// The form.

@@ -1,5 +1,6 @@
 //! The per-pixel losses of one tile and their gradients: colour, depth, normals (paper, Section "Scan").
 
+use super::bands::BandSums;
 use super::lanes::{Lanes, array, by_simd};
 use super::planes::{PaddedPlanes, RowLayout};
 use super::target::TargetTile;
@@ -22,14 +23,6 @@ pub(super) struct PixelWeights {
     pub(super) depth_term: DepthTerm,
 }
 
-/// Σ |error| of a tile.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct PixelSums {
-    pub(super) color: f64,
-    pub(super) depth: f64,
-    pub(super) normal: f64,
-}
-
 /// The gradient of SSIM with respect to the colours of a band, and the band's first row.
 #[derive(Clone, Copy)]
 pub(super) struct BandGradient<'a> {
@@ -39,7 +32,8 @@ pub(super) struct BandGradient<'a> {
     pub(super) first: usize,
 }
 
-/// Writes the gradient of the colour, depth, normal and opacity channels of the tile whose first pixel is at `corner`.
+/// Writes the gradient of the colour, depth, normal and opacity channels of the tile whose first pixel is at `corner`,
+/// and adds Σ |error| to `sums`.
 #[inline(always)]
 fn pixel_losses<L: Lanes>(
     image: &TileImage,
@@ -49,7 +43,8 @@ fn pixel_losses<L: Lanes>(
     weights: PixelWeights,
     ssim: BandGradient<'_>,
     gradient: &mut [PatchGradient; PATCHES],
-) -> PixelSums {
+    sums: &mut BandSums,
+) {
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
     let (mut color_sum, mut depth_sum, mut normal_sum) = (zero, zero, zero);
     for p in 0..PATCHES {
@@ -93,19 +88,17 @@ fn pixel_losses<L: Lanes>(
             (error.signum() * L::splat(weights.normal)).store(&mut gradient[NORMAL_CHANNEL + c]);
         }
     }
-    PixelSums {
-        color: f64::from(color_sum.sum()),
-        depth: f64::from(depth_sum.sum()),
-        normal: f64::from(normal_sum.sum()),
-    }
+    sums.color += f64::from(color_sum.sum());
+    sums.depth += f64::from(depth_sum.sum());
+    sums.normal += f64::from(normal_sum.sum());
 }
 
 by_simd! {
     /// Colour, depth and normal terms of one tile.
     fn tile_losses = pixel_losses(
         image: &TileImage, target: &TargetTile, observed: &PaddedPlanes, corner: (usize, usize), weights: PixelWeights,
-        ssim: BandGradient<'_>, gradient: &mut [PatchGradient; PATCHES],
-    ) -> PixelSums
+        ssim: BandGradient<'_>, gradient: &mut [PatchGradient; PATCHES], sums: &mut BandSums,
+    )
 }
 
 /// Writes the colours of a row of tiles for SSIM, starting at `row` of the band; zero where the observed colour must

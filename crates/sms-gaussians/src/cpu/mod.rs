@@ -33,7 +33,6 @@ use crate::{
     Classifier, FrameId, GaussianModel, LearningRates, LossTerms, RenderedMaps, Seedling, StepStats,
     TrainConfig, TrainFrame, TrainState, Trainer, TrainerError,
 };
-use bands::BAND_TILES;
 use engine::Engine;
 use glamx::Vec3;
 use lanes::Simd;
@@ -43,7 +42,9 @@ use rayon::prelude::*;
 use sms_core::{Camera, Seed};
 use std::time::Instant;
 use target::TiledTarget;
-use tile::{COLOR_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PATCH_ROWS, TILE, TileImage, TilePlane};
+use tile::{
+    BAND_TILES, COLOR_CHANNEL, NORMAL_CHANNEL, OPACITY_CHANNEL, PATCH_ROWS, TILE, TileImage, TilePlane,
+};
 pub use times::StepTimes;
 
 /// Gaussians handled at once by the optimiser.
@@ -148,19 +149,6 @@ impl CpuTrainer {
     }
 }
 
-/// Adds `terms` to `sum`, each divided by `count`.
-fn add_share(sum: &mut LossTerms, terms: &LossTerms, count: usize) {
-    let share = 1.0 / count as f32;
-    sum.color_l1 += terms.color_l1 * share;
-    sum.dssim += terms.dssim * share;
-    sum.isotropic += terms.isotropic * share;
-    sum.depth += terms.depth * share;
-    sum.normal += terms.normal * share;
-    sum.flat += terms.flat * share;
-    sum.segmentation += terms.segmentation * share;
-    sum.total += terms.total * share;
-}
-
 impl Trainer for CpuTrainer {
     /// # Panics
     /// If a buffer of the frame has another size than the camera's image.
@@ -187,7 +175,7 @@ impl Trainer for CpuTrainer {
         let mut stats = StepStats::default();
         for &frame in frames {
             let terms = self.step(frame);
-            add_share(&mut stats.loss, &terms, frames.len());
+            stats.loss.add(&terms, 1.0 / frames.len() as f32);
             stats.steps += 1;
         }
         stats
@@ -195,24 +183,16 @@ impl Trainer for CpuTrainer {
 
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
         let view = CameraView::new(camera);
-        if view.width * view.height == 0 {
-            return RenderedMaps { width: view.width, height: view.height, ..RenderedMaps::default() };
+        let mut maps = RenderedMaps::default();
+        maps.resize(view.width, view.height);
+        if maps.color.is_empty() {
+            return maps;
         }
         self.engine.blend(&self.parameters, &view, None);
         let Engine { simd, grid, tiles, bands, classifier, .. } = &mut self.engine;
         let (simd, grid) = (*simd, *grid);
         classifier.set(self.parameters.classifier.classes, &self.parameters.classifier.values);
         let weights = &*classifier;
-        let pixels = view.width * view.height;
-        let mut maps = RenderedMaps {
-            width: view.width,
-            height: view.height,
-            color: vec![[0.0; 3]; pixels],
-            alpha: vec![0.0; pixels],
-            depth: vec![0.0; pixels],
-            normal_w: vec![[0.0; 3]; pixels],
-            label: vec![0; pixels],
-        };
         let mut found = vec![([0u16; TILE * TILE], TilePlane::ZERO); tiles.len()];
         bands
             .par_iter_mut()
@@ -273,14 +253,7 @@ impl Trainer for CpuTrainer {
     }
 
     fn restore(&mut self, state: &TrainState) -> Result<(), TrainerError> {
-        let parameters = Parameters::decode(state)?;
-        if parameters.classifier.classes != self.parameters.classifier.classes {
-            return Err(TrainerError::BadState(format!(
-                "it has {} classes, the masks have {}",
-                parameters.classifier.classes, self.parameters.classifier.classes
-            )));
-        }
-        self.parameters = parameters;
+        self.parameters = Parameters::decode_for(self.parameters.classifier.classes, state)?;
         Ok(())
     }
 

@@ -1,8 +1,8 @@
 //! EWA projection of Gaussians into one camera (Zwicker et al. 2002; Kerbl et al. 2023), sixteen at a time.
 
-use super::bands::{BAND_ROWS, Span};
+use super::bands::Span;
 use super::lanes::{Chunk, Lanes, NONE, WIDTH, array, by_simd};
-use super::tile::{FLAT, LOG2_ALPHA_MIN, NORMAL_CHANNEL, Splat};
+use super::tile::{BAND_ROWS, FLAT, LOG2_ALPHA_MIN, NORMAL_CHANNEL, Splat};
 use crate::AFFINITY_DIM;
 use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, POSITION, ROTATION, Row};
 use glamx::Mat3;

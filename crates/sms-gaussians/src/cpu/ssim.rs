@@ -4,6 +4,7 @@
 
 use super::lanes::{Chunk, Lanes, WIDTH, by_simd};
 use super::planes::{Aligned, MARGIN, PaddedPlanes, RADIUS, RowLayout, TAPS};
+use super::tile::BAND_ROWS;
 
 /// Stabiliser of SSIM's means for values in 0..1.
 pub const C1: f64 = 0.01 * 0.01;
@@ -14,7 +15,7 @@ pub const C2: f64 = 0.03 * 0.03;
 const ROWS: usize = 4;
 
 /// The window's weights along one axis.
-pub(super) fn window() -> [f64; TAPS] {
+pub fn window() -> [f64; TAPS] {
     let weight = |i: usize| (-((i as f64 - RADIUS as f64) / 1.5).powi(2) / 2.0).exp();
     let sum: f64 = (0..TAPS).map(weight).sum();
     std::array::from_fn(|i| weight(i) / sum)
@@ -106,13 +107,12 @@ fn along<L: Lanes>(row: &[f32], weights: &[f32; TAPS], x: usize) -> L {
 /// Planes of each colour in the derivatives buffer: of the mean of x, of the mean of x², of the mean of x·y.
 pub(super) const DERIVATIVES: usize = 3;
 
-/// Σ SSIM over the rows `first..first + rows` and its derivatives, scaled by `scale`, into `band`.
+/// Σ SSIM over the rows of a band from row `first` on and its derivatives, scaled by `scale`, into `band`.
 #[inline(always)]
 fn similarity<L: Lanes>(
     rendered: &PaddedPlanes,
     observed: &PaddedPlanes,
     first: usize,
-    rows: usize,
     size: (usize, usize),
     scale: f32,
     layout: RowLayout,
@@ -124,7 +124,7 @@ fn similarity<L: Lanes>(
     let (c1, c2) = (L::splat(C1 as f32), L::splat(C2 as f32));
     let stride = rendered.stride();
     let mut total = 0.0;
-    let rows = rows.min(size.1.saturating_sub(first));
+    let rows = BAND_ROWS.min(size.1.saturating_sub(first));
     for four in (0..rows).step_by(ROWS) {
         for color in 0..3 {
             let images = (&mut scratch.images, (rendered, color), (observed, color));
@@ -174,14 +174,13 @@ fn inside<L: Lanes>(columns: usize) -> L::Mask {
     L::mask(if columns < WIDTH { (1 << columns) - 1 } else { u16::MAX })
 }
 
-/// ∂(scaled Σ SSIM)/∂x of the rows `first..first + rows`, one image per colour, into `band`.
+/// ∂(scaled Σ SSIM)/∂x of the rows of a band from row `first` on, one image per colour, into `band`.
 #[inline(always)]
 fn similarity_gradient<L: Lanes>(
     rendered: &PaddedPlanes,
     observed: &PaddedPlanes,
     derivatives: &PaddedPlanes,
     first: usize,
-    rows: usize,
     size: (usize, usize),
     layout: RowLayout,
     band: &mut [f32],
@@ -190,7 +189,7 @@ fn similarity_gradient<L: Lanes>(
     let weights = window().map(|w| w as f32);
     let two = L::splat(2.0);
     let stride = derivatives.stride();
-    let rows = rows.min(size.1.saturating_sub(first));
+    let rows = BAND_ROWS.min(size.1.saturating_sub(first));
     for four in (0..rows).step_by(ROWS) {
         for color in 0..3 {
             let [means, squares, products, _] = &mut scratch.images;
@@ -217,7 +216,7 @@ fn similarity_gradient<L: Lanes>(
 by_simd! {
     /// The sum of SSIM over a band of rows and its derivatives with respect to the window's moments.
     fn ssim_band = similarity(
-        rendered: &PaddedPlanes, observed: &PaddedPlanes, first: usize, rows: usize, size: (usize, usize), scale: f32,
+        rendered: &PaddedPlanes, observed: &PaddedPlanes, first: usize, size: (usize, usize), scale: f32,
         layout: RowLayout, band: &mut [f32], scratch: &mut SsimScratch,
     ) -> f64
 }
@@ -225,7 +224,7 @@ by_simd! {
 by_simd! {
     /// The gradient of the scaled sum of SSIM over a band of rows.
     fn ssim_gradient_band = similarity_gradient(
-        rendered: &PaddedPlanes, observed: &PaddedPlanes, derivatives: &PaddedPlanes, first: usize, rows: usize,
+        rendered: &PaddedPlanes, observed: &PaddedPlanes, derivatives: &PaddedPlanes, first: usize,
         size: (usize, usize), layout: RowLayout, band: &mut [f32], scratch: &mut SsimScratch,
     )
 }

@@ -6,7 +6,7 @@ use super::tile::{PATCH_ROWS, PATCHES, PatchPlace, TILE, TilePlane};
 use crate::TrainFrame;
 
 /// Tiles of an image.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct TileGrid {
     pub(super) width: usize,
     pub(super) height: usize,

@@ -10,6 +10,10 @@ pub(super) const TILE: usize = 8;
 pub(super) const PATCH_ROWS: usize = WIDTH / TILE;
 /// Patches of a tile, from the top.
 pub(super) const PATCHES: usize = TILE / PATCH_ROWS;
+/// Rows of tiles in a band. A constant, because it shapes the order of sums.
+pub(super) const BAND_TILES: usize = 2;
+/// Rows of pixels in a band.
+pub(super) const BAND_ROWS: usize = BAND_TILES * TILE;
 
 /// First colour channel.
 pub(super) const COLOR_CHANNEL: usize = 0;

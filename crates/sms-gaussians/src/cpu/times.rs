@@ -51,24 +51,16 @@ impl StepTimes {
         Self { project, bin, blend, ssim, pixels, segmentation, unblend, unproject, adam }
     }
 
-    fn combine(&self, other: &Self, f: impl Fn(f64, f64) -> f64) -> Self {
+    /// Returns `f` of each part of both.
+    #[must_use]
+    pub fn combined(&self, other: &Self, f: impl Fn(f64, f64) -> f64) -> Self {
         let (a, b) = (self.parts(), other.parts());
         Self::from_parts(std::array::from_fn(|i| f(a[i], b[i])))
     }
 
     /// Adds another.
     pub fn add(&mut self, other: &Self) {
-        *self = self.combine(other, |a, b| a + b);
-    }
-
-    /// Returns the time added since `earlier`.
-    pub fn since(&self, earlier: &Self) -> Self {
-        self.combine(earlier, |a, b| a - b)
-    }
-
-    /// The shorter time of each part.
-    pub fn shorter(&self, other: &Self) -> Self {
-        self.combine(other, f64::min)
+        *self = self.combined(other, |a, b| a + b);
     }
 
     /// All parts.

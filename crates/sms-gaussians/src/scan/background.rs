@@ -31,11 +31,15 @@ fn sum_of_frame(frame: &Frame) -> ([u64; 3], u64, u64) {
     let measured: Vec<bool> = frame.depth.data.iter().map(|&z| z > 0.0).collect();
     let mut in_row = vec![false; measured.len()];
     for y in 0..height {
-        spread(&measured, &mut in_row, y * width, 1, width);
+        let row = y * width..(y + 1) * width;
+        spread(&measured, &mut in_row, row.clone());
+        spread(&measured, &mut in_row, row.rev());
     }
     let mut near = vec![false; measured.len()];
     for x in 0..width {
-        spread(&in_row, &mut near, x, width, height);
+        let column = (x..measured.len()).step_by(width);
+        spread(&in_row, &mut near, column.clone());
+        spread(&in_row, &mut near, column.rev());
     }
     let (mut sum, mut count) = ([0u64; 3], 0u64);
     for (color, _) in frame.color.data.iter().zip(&near).filter(|(_, near)| !**near) {
@@ -45,20 +49,11 @@ fn sum_of_frame(frame: &Frame) -> ([u64; 3], u64, u64) {
     (sum, count, near.len() as u64)
 }
 
-/// Marks the places of a line within the clearance of a set place of `from`. The line is given by its first index, step
-/// and length.
-fn spread(from: &[bool], to: &mut [bool], first: usize, step: usize, length: usize) {
-    // End of the reach of the last set place, forwards and then backwards.
+/// Marks the places of a line at or within the clearance after a set place of `from`.
+fn spread(from: &[bool], to: &mut [bool], line: impl Iterator<Item = usize>) {
+    // End of the reach of the last set place.
     let mut reach = 0;
-    for k in 0..length {
-        if from[first + k * step] {
-            reach = k + CLEARANCE_PX + 1;
-        }
-        to[first + k * step] |= k < reach;
-    }
-    let mut reach = 0;
-    for k in 0..length {
-        let i = first + (length - 1 - k) * step;
+    for (k, i) in line.enumerate() {
         if from[i] {
             reach = k + CLEARANCE_PX + 1;
         }

@@ -41,12 +41,9 @@ impl std::str::FromStr for Preset {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "draft" => Ok(Self::Draft),
-            "standard" => Ok(Self::Standard),
-            "fine" => Ok(Self::Fine),
-            other => Err(format!("unknown preset `{other}`; use draft, standard or fine")),
-        }
+        let mut all = [Self::Draft, Self::Standard, Self::Fine].into_iter();
+        all.find(|preset| preset.name() == text)
+            .ok_or_else(|| format!("unknown preset `{text}`; use draft, standard or fine"))
     }
 }
 

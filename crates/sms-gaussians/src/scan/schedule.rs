@@ -104,7 +104,7 @@ pub fn scan_observed(
             labels,
             config,
             seed,
-            settings: SettingsHash::Coming(Some(hash)),
+            settings: SettingsHash::of(hash),
             saver: Saver::new(work_dir.join("checkpoint.bin"), config.checkpoint_seconds),
             codes: AffinityCodes::new(labels.class_count(), seed),
             ids: Vec::with_capacity(trained.len()),

@@ -36,27 +36,23 @@ fn bytes_of<T: Copy, const N: usize>(values: &[T], bytes: impl Fn(T) -> [u8; N])
     all
 }
 
-/// The hash, or the thread that computes it.
-pub(crate) enum SettingsHash<'scope> {
-    Known(Hash),
-    Coming(Option<ScopedJoinHandle<'scope, Hash>>),
+/// The hash, and the thread that computes it.
+pub(crate) struct SettingsHash<'scope> {
+    thread: Option<ScopedJoinHandle<'scope, Hash>>,
+    /// Empty until the thread ends, and if it panics, which is reported to the first caller.
+    hash: Hash,
 }
 
-impl SettingsHash<'_> {
+impl<'scope> SettingsHash<'scope> {
+    pub(crate) fn of(thread: ScopedJoinHandle<'scope, Hash>) -> Self {
+        Self { thread: Some(thread), hash: Hash(String::new()) }
+    }
+
     /// Returns the hash, waiting for it if needed.
     pub(crate) fn hash(&mut self) -> Hash {
-        if let Self::Coming(thread) = self
-            && let Some(thread) = thread.take()
-        {
-            match thread.join() {
-                Ok(hash) => *self = Self::Known(hash),
-                Err(panic) => std::panic::resume_unwind(panic),
-            }
+        if let Some(thread) = self.thread.take() {
+            self.hash = thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         }
-        match self {
-            Self::Known(hash) => hash.clone(),
-            // The thread panicked, and the panic was reported to the first caller.
-            Self::Coming(_) => Hash(String::new()),
-        }
+        self.hash.clone()
     }
 }

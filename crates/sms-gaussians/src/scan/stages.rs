@@ -17,9 +17,4 @@ impl StageSeconds {
     pub fn iter(&self) -> impl Iterator<Item = (&'static str, f64)> {
         self.0.iter().map(|(stage, seconds)| (*stage, *seconds))
     }
-
-    /// Returns the seconds of a stage; 0 if it did not run.
-    pub fn of(&self, stage: &str) -> f64 {
-        self.0.get(stage).copied().unwrap_or(0.0)
-    }
 }

@@ -2,7 +2,7 @@
 
 use super::ply::seedlings_of;
 use crate::parameters::{ClassifierState, Parameters};
-use crate::{CpuTrainer, GaussianModel, TrainConfig, TrainState, Trainer, TrainerError};
+use crate::{CpuTrainer, GaussianModel, TrainConfig, TrainState, Trainer};
 use sms_core::{ColorImage, DepthImage, Image, LabelMap, Seed};
 use sms_frames::Sequence;
 
@@ -27,10 +27,8 @@ pub(crate) fn state_of_model(model: &GaussianModel) -> TrainState {
     let c = &model.classifier;
     let mut parameters = Parameters::new(c.classes.max(1), Seed(0));
     if c.classes > 0 {
-        let values = [&c.w1, &c.b1, &c.w2, &c.b2].into_iter().flatten().copied().collect::<Vec<f32>>();
-        let zeros = vec![0.0; values.len()];
-        parameters.classifier =
-            ClassifierState { classes: c.classes, values, first: zeros.clone(), second: zeros, steps: 0 };
+        let values = [&c.w1, &c.b1, &c.w2, &c.b2].into_iter().flatten().copied().collect();
+        parameters.classifier = ClassifierState::without_moments(c.classes, values);
     }
     parameters.insert(&seedlings_of(model));
     parameters.encode()
@@ -41,23 +39,12 @@ pub fn render_views(model: &GaussianModel, sequence: &Sequence, frames: &[usize]
     let mut trainer = CpuTrainer::new(&TrainConfig::default(), model.classifier.classes.max(1), Seed(0));
     // A state made from a model is valid, unless the model has a number that is not finite. Such a model is not
     // rendered.
-    render_views_with(&mut trainer, model, sequence, frames).unwrap_or_default()
-}
-
-/// Like [`render_views`], with another back end. The model's Gaussians and background replace those of the trainer.
-///
-/// # Errors
-/// [`TrainerError::BadState`] if the trainer has another number of classes or the model is not finite.
-fn render_views_with(
-    trainer: &mut dyn Trainer,
-    model: &GaussianModel,
-    sequence: &Sequence,
-    frames: &[usize],
-) -> Result<Vec<ViewRender>, TrainerError> {
-    trainer.restore(&state_of_model(model))?;
+    if trainer.restore(&state_of_model(model)).is_err() {
+        return Vec::new();
+    }
     trainer.set_background(model.background);
     let known = frames.iter().filter_map(|&i| sequence.frames.get(i).map(|f| (i, f)));
-    Ok(known
+    known
         .map(|(frame_index, frame)| {
             let maps = trainer.render(&frame.camera);
             let (w, h) = (maps.width, maps.height);
@@ -71,5 +58,5 @@ fn render_views_with(
                 alpha: Image::from_vec(w, h, maps.alpha),
             }
         })
-        .collect())
+        .collect()
 }

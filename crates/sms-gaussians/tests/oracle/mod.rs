@@ -1,25 +1,27 @@
 //! A scalar double-precision renderer with the whole loss and the gradient of every parameter, written for clarity.
-//! Tests compare every back end with this oracle, and the oracle with finite differences.
+//! Unit tests compare every back end with this oracle, and the oracle with finite differences. It names the crate
+//! `sms_gaussians`, so that the tests of another crate can include it by its path.
+#![allow(dead_code, unreachable_pub, reason = "each crate that includes it uses its own part")]
 
 mod dual;
 mod loss;
 mod project;
 
-use crate::cpu::limits::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
-use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, Parameters};
-use crate::{AFFINITY_DIM, TrainConfig, TrainFrame};
 pub use loss::{CHANNELS, OracleTerms};
 use project::{CONIC, DEPTH, MEAN, NORMAL, OPACITY_SHARE, OUTPUTS, Projection, project};
 use sms_core::Camera;
+use sms_gaussians::limits::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
+use sms_gaussians::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, Parameters};
+use sms_gaussians::{AFFINITY_DIM, TrainConfig, TrainFrame};
 
 /// Parameters and settings in double precision.
 #[derive(Debug, Clone)]
 pub struct Oracle {
-    /// One row per Gaussian, laid out as in [`crate::parameters`].
+    /// One row per Gaussian, laid out as in [`sms_gaussians::parameters`].
     pub rows: Vec<[f64; PARAMETERS]>,
     /// Number of classes.
     pub classes: usize,
-    /// The classifier, flat as in [`crate::parameters::ClassifierState`].
+    /// The classifier, flat as in [`sms_gaussians::parameters::ClassifierState`].
     pub classifier: Vec<f64>,
     /// Colour behind all Gaussians.
     pub background: [f64; 3],
@@ -299,6 +301,3 @@ impl Oracle {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,9 +1,11 @@
 //! The oracle's gradients against finite differences of its loss.
 
-use super::*;
-use crate::parameters::{POSITION, ROTATION};
+use crate::oracle::{CHANNELS, Oracle};
+use crate::parameters::{
+    AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, Parameters, ROTATION,
+};
 use crate::test_scene::{CLASSES, camera, frame, seedlings};
-use crate::{DepthTerm, LossWeights};
+use crate::{DepthTerm, LossWeights, TrainConfig};
 use sms_core::Seed;
 
 const NONE: LossWeights = LossWeights {
@@ -125,7 +127,7 @@ fn the_remaining_transmittance_shows_the_background() {
     let (dark, lit) = (black.render(&camera), Oracle { background, ..black.clone() }.render(&camera));
     for (dark, lit) in dark.pixels.iter().zip(&lit.pixels) {
         for c in 0..CHANNELS {
-            let share = background.get(c).map_or(0.0, |b| b * (1.0 - dark[loss::OPACITY]));
+            let share = background.get(c).map_or(0.0, |b| b * (1.0 - dark[CHANNELS - 1]));
             assert!((lit[c] - dark[c] - share).abs() < 1e-12, "channel {c}");
         }
     }

@@ -1,7 +1,10 @@
 //! The paper's losses of a rendered image and their gradient with respect to image and classifier, in double precision.
 
-use crate::cpu::limits::{DEPTH_OPACITY_MIN, SSIM_C1, SSIM_C2, SSIM_RADIUS};
-use crate::{AFFINITY_DIM, DepthTerm, HIDDEN_DIM, LossWeights, TrainConfig, TrainFrame};
+use sms_gaussians::limits::{DEPTH_OPACITY_MIN, SSIM_C1, SSIM_C2, SSIM_RADIUS};
+use sms_gaussians::{AFFINITY_DIM, DepthTerm, LossWeights, TrainConfig, TrainFrame};
+
+/// Hidden width of the classifier.
+const HIDDEN_DIM: usize = 32;
 
 /// Values per pixel: colour 3, normal 3, affinity 16, depth 1, accumulated opacity.
 pub const CHANNELS: usize = 24;
@@ -11,7 +14,7 @@ pub(super) const AFFINITY: usize = 6;
 pub(super) const DEPTH: usize = 22;
 pub(super) const OPACITY: usize = 23;
 
-/// The terms of [`crate::LossTerms`] in double precision.
+/// The terms of [`sms_gaussians::LossTerms`] in double precision.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct OracleTerms {
     /// Mean absolute colour error.

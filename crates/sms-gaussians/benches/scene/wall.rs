@@ -1,17 +1,17 @@
 //! A fixed scene for timing training steps: a wall of discs about as dense as in a scan, and a view of another such
-//! wall.
+//! wall. Timings of other crates include this file by its path.
 
-use crate::{AFFINITY_DIM, FrameId, Seedling, TrainFrame, Trainer};
-use glamx::{DVec3, Quat, Vec3};
 use rand::RngExt;
+use sms_core::glamx::{DVec3, Quat, Vec3};
 use sms_core::{Camera, Intrinsics, Seed};
+use sms_gaussians::{AFFINITY_DIM, FrameId, Seedling, TrainFrame, Trainer};
 
 /// Number of classes of the wall's labels.
-pub const WALL_CLASSES: usize = 8;
+pub(crate) const WALL_CLASSES: usize = 8;
 
 /// Fills an empty trainer with a wall of `count` discs and a frame of `width` × `height` pixels of another wall,
 /// and takes three steps to grow the buffers. Returns the frame.
-pub fn fill_wall(trainer: &mut dyn Trainer, (width, height): (usize, usize), count: usize) -> FrameId {
+pub(crate) fn fill_wall(trainer: &mut dyn Trainer, (width, height): (usize, usize), count: usize) -> FrameId {
     let camera = Camera::look_at(
         Intrinsics::from_fov(width, height, 1.1),
         DVec3::new(0.0, -0.7, 0.6),

@@ -1,9 +1,9 @@
 //! EWA projection with forward-mode derivatives.
 
 use super::dual::{Dual, INPUTS};
-use crate::cpu::limits::{AREA_FLOOR, FAR, LOW_PASS, MARGIN, NEAR, SLOPE_LOW_PASS};
-use crate::parameters::{LOG_SCALE, PARAMETERS, POSITION, ROTATION};
 use sms_core::Camera;
+use sms_gaussians::limits::{AREA_FLOOR, FAR, LOW_PASS, MARGIN, NEAR, SLOPE_LOW_PASS};
+use sms_gaussians::parameters::{LOG_SCALE, PARAMETERS, POSITION, ROTATION};
 
 /// Outputs of projection, in the order of [`OUTPUTS`]: mean x, y; conic xx, xy, yy; depth; world normal; share of
 /// the opacity left by the low-pass filter.
