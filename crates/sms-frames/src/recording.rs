@@ -162,34 +162,6 @@ impl Recording {
     pub fn index_of(&self, frame: &crate::Frame) -> Option<usize> {
         self.frames.iter().position(|f| f.color_path == frame.color_path)
     }
-
-    /// Reads the label image of frame `index` and resamples it (nearest neighbour, distortion undone) to the
-    /// loaded frame's `intrinsics`; `None` when the recording has none for it.
-    ///
-    /// # Errors
-    /// When the file is missing or damaged, or its size is not that of the colour image.
-    pub fn read_labels(
-        &self,
-        index: usize,
-        intrinsics: &sms_core::Intrinsics,
-    ) -> Result<Option<sms_core::LabelMap>, FramesError> {
-        let frame = &self.frames[index];
-        let Some(path) = &frame.mask_path else { return Ok(None) };
-        let map = sms_core::read_png_labels(path)?;
-        let k = &frame.color_lens.intrinsics;
-        if map.size() != (k.width, k.height) {
-            return Err(InputError::new(
-                format!(
-                    "the label image is {} × {} but the colour image {} × {}",
-                    map.width, map.height, k.width, k.height
-                ),
-                path,
-                "export label images at the size of the colour images",
-            )
-            .into());
-        }
-        Ok(Some(crate::resample_labels(&map, &frame.color_lens, intrinsics)))
-    }
 }
 
 fn check_options(options: &ReadOptions) -> Result<(), FramesError> {
