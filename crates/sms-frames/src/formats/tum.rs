@@ -5,13 +5,13 @@
 //! time of the depth image, because depth determines the surfaces. Depth is in 1/5000 m.
 
 use super::to_opencv;
-use crate::formats::nerfstudio::check_intrinsics;
+use crate::formats::nerfstudio::{checked_intrinsics, not_registered};
 use crate::images::{color_size, depth_size};
 use crate::recording::{Notice, RecordedFrame, Recording, RecordingFormat};
 use crate::{Axes, Distortion, FramesError, Lens, PoseDirection, ReadOptions};
 use glamx::{DPose3, DQuat, DVec3};
 use rayon::prelude::*;
-use sms_core::{InputError, Intrinsics};
+use sms_core::InputError;
 use std::path::{Path, PathBuf};
 
 struct Calibration {
@@ -228,15 +228,8 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
             let size = color_size(&color_path)?;
             let depth = depth_size(&depth_path)?;
             if depth != size && !options.depth_same_field_of_view {
-                return Err(InputError::new(
-                    format!(
-                        "the depth image is {} × {} and the colour image {} × {}, with unknown correspondence",
-                        depth.0, depth.1, size.0, size.1
-                    ),
-                    &depth_path,
-                    "register depth to colour, or set depth_same_field_of_view if both show the same field of view",
-                )
-                .into());
+                let cure = "register depth to colour, or set depth_same_field_of_view if both show the same field of view";
+                return Err(not_registered(depth, size, &depth_path, cure).into());
             }
             if source.is_none() && size != (640, 480) {
                 return Err(InputError::new(
@@ -246,10 +239,8 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
                 )
                 .into());
             }
-            let [fx, fy, cx, cy] = calibration.intrinsics;
-            let shift = 0.5 - pixel_center;
-            let intrinsics = Intrinsics { width: size.0, height: size.1, fx, fy, cx: cx + shift, cy: cy + shift };
-            check_intrinsics(&intrinsics, source.as_deref().unwrap_or(dir))?;
+            let file = source.as_deref().unwrap_or(dir);
+            let intrinsics = checked_intrinsics(size, calibration.intrinsics, 0.5 - pixel_center, file)?;
             let color_lens = Lens { intrinsics, distortion: Distortion::from_opencv(calibration.distortion) };
             let depth_lens = Lens { intrinsics: intrinsics.scaled_to(depth.0, depth.1), ..color_lens };
             Ok(RecordedFrame {
