@@ -44,7 +44,7 @@ mod report;
 mod residual;
 mod views;
 
-pub use align::{PoseErrors, align_rigidly, compare_poses};
+pub use align::align_rigidly;
 pub use config::{PosesConfig, PosesMode};
 pub use judge::{Consistency, Gain, Judgement};
 pub use report::{PoseCorrection, PoseReport, PoseVerdict};

@@ -1,7 +1,7 @@
 //! The refinement: all poses at once, from coarse to fine images.
 
 use crate::PosesConfig;
-use crate::align::{align_rigidly, moved_about};
+use crate::align::{add_row, align_rigidly, lever, moved_about};
 use crate::graph::{Graph, choose_pairs};
 use crate::linear::{Block, Six, System};
 use crate::residual::{
@@ -117,17 +117,9 @@ impl<'a> BundleAdjustment<'a> {
         let (wr, wt) = (self.config.prior_rotation_rad.powi(-2), self.config.prior_position_m.powi(-2));
         let (mut h, mut g): (Block, Six) = ([[0.0; 6]; 6], [0.0; 6]);
         for axis in 0..3 {
-            let a = DVec3::AXES[axis];
             h[axis][axis] += wr;
             g[axis] += wr * turned[axis];
-            let lever = arm.cross(a);
-            let j = [lever.x, lever.y, lever.z, a.x, a.y, a.z];
-            for r in 0..6 {
-                g[r] += wt * j[r] * shifted[axis];
-                for c in 0..6 {
-                    h[r][c] += wt * j[r] * j[c];
-                }
-            }
+            add_row(&mut h, &mut g, &lever(arm, DVec3::AXES[axis]), shifted[axis], wt);
         }
         system.add_own(frame, &h, &g);
     }

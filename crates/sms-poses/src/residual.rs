@@ -9,10 +9,11 @@
 //! a rotation ω and a shift v of frame i about the centre c is (q × a, a). The derivative for frame j is its negative.
 
 use crate::PosesConfig;
+use crate::align::lever;
 use crate::linear::{Block, Six};
 use crate::luma::sample;
 use crate::views::{Point, PreparedFrame, sigma_along_normal};
-use glamx::{DMat3, DPose3, DVec3};
+use glamx::{DMat3, DPose3, DVec3, Vec3};
 use sms_core::Intrinsics;
 
 /// A residual and its gradient with respect to the mapped point.
@@ -25,9 +26,7 @@ pub(crate) struct LinearResidual {
 impl LinearResidual {
     /// Derivative with respect to (rotation, shift) of the mapped frame about `center`.
     pub(crate) fn jacobian(&self, p: DVec3, center: DVec3) -> Six {
-        let turn = (p - center).cross(self.by_point);
-        let a = self.by_point;
-        [turn.x, turn.y, turn.z, a.x, a.y, a.z]
+        lever(p - center, self.by_point)
     }
 }
 
@@ -201,6 +200,7 @@ pub(crate) struct ShiftSums {
 }
 
 /// Sums in the axes of camera j, upper triangle of H.
+#[derive(Default)]
 struct Sums {
     h: [f64; 21],
     g: Six,
@@ -261,8 +261,7 @@ pub(crate) fn linearise(
     let center = x_wj.inverse_transform_point(center_w);
     let turn = DMat3::from_quat(x_ji.rotation);
     let k: &Intrinsics = &view_j.intrinsics;
-    let mut sums =
-        Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; EXTRA], bh: [[0.0; EXTRA]; EXTRA], bg: [0.0; EXTRA] };
+    let mut sums = Sums::default();
     let mut seen = ResidualStats::default();
     // Normals that differ by more than 60° belong to different surfaces.
     const LEAST_COSINE: f64 = 0.5;
@@ -276,7 +275,7 @@ pub(crate) fn linearise(
         let Some((x, y, surface)) = view_j.surface_at(u, v) else { continue };
         let z = f64::from(surface.z);
         let q = DVec3::new((x as f64 + 0.5 - k.cx) / k.fx * z, (y as f64 + 0.5 - k.cy) / k.fy * z, z);
-        let n = DVec3::new(f64::from(surface.n[0]), f64::from(surface.n[1]), f64::from(surface.n[2]));
+        let n = Vec3::from(surface.n).as_dvec3();
         let has_plane = n != DVec3::ZERO;
         let off = if has_plane { n.dot(p - q) } else { p.z - q.z };
         if off.abs() > weighing.gate_m {
@@ -508,7 +507,7 @@ mod tests {
             turn in prop::array::uniform3(-2.0..2.0f64), rows in prop::collection::vec(prop::array::uniform6(-1.0..1.0f64), 3)
         ) {
             let r_wj = DMat3::from_quat(glamx::DQuat::from_scaled_axis(DVec3::from_array(turn)));
-            let mut sums = Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; EXTRA], bh: [[0.0; EXTRA]; EXTRA], bg: [0.0; EXTRA] };
+            let mut sums = Sums::default();
             let (mut h, mut g) = ([[0.0; 6]; 6], [0.0; 6]);
             for (k, row) in rows.iter().enumerate() {
                 let (r, w) = (0.3 + k as f64, 1.0 / (1.0 + k as f64));
@@ -534,13 +533,7 @@ mod tests {
     #[test]
     fn brightness_is_eliminated_exactly() {
         // Residuals r + J δ + C (gain, offset, shift) of twelve measurements.
-        let mut sums = Sums {
-            h: [0.0; 21],
-            g: [0.0; 6],
-            b: [[0.0; 6]; EXTRA],
-            bh: [[0.0; EXTRA]; EXTRA],
-            bg: [0.0; EXTRA],
-        };
+        let mut sums = Sums::default();
         let pseudo = |k: usize, a: usize| ((k * k * 7 + a * a * 3 + k * a * 5) as f64).sin();
         let rows: [(Six, f64, [f64; EXTRA]); 14] = std::array::from_fn(|k| {
             let extra = [pseudo(k, 9), -1.0, pseudo(k, 11), pseudo(k, 13)];
