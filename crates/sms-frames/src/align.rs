@@ -80,9 +80,7 @@ pub(crate) fn align(
             let mut heights: Vec<f64> = cells.points.iter().map(|p| p.dot(up)).collect();
             heights.sort_by(f64::total_cmp);
             let low = heights.get(heights.len() / 100).copied().unwrap_or(0.0);
-            let mean =
-                cells.points.iter().fold(DVec3::ZERO, |s, p| s + *p) / (cells.points.len().max(1) as f64);
-            (low, mean)
+            (low, cells.points.iter().sum::<DVec3>() / (cells.points.len().max(1) as f64))
         }
     };
     // World x along the first camera's right, so that the first view shows the world upright and unmirrored.

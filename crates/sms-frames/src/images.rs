@@ -48,12 +48,9 @@ pub(crate) fn depth_size(path: &Path) -> Result<(usize, usize), FramesError> {
         png::Decoder::new(BufReader::new(file)).read_info().map_err(|e| damaged("depth", path, e))?;
     let info = reader.info();
     if info.bit_depth != png::BitDepth::Sixteen {
-        return Err(InputError::new(
-            format!("the depth image has {} bits per pixel instead of 16", info.bit_depth as u8),
-            path,
-            "export depth as 16-bit PNG (a preview or colourised depth image cannot be used)",
-        )
-        .into());
+        let what = format!("the depth image has {} bits per pixel instead of 16", info.bit_depth as u8);
+        let cure = "export depth as 16-bit PNG (a preview or colourised depth image cannot be used)";
+        return Err(InputError::new(what, path, cure).into());
     }
     Ok((info.width as usize, info.height as usize))
 }

@@ -34,12 +34,8 @@ pub fn load(
     }
     let selected = selected_frames(recording, settings);
     if selected.is_empty() {
-        return Err(InputError::new(
-            format!("no frame is left of {} from frame {} on", recording.frames.len(), settings.first),
-            &recording.root,
-            "start earlier, or use all frames",
-        )
-        .into());
+        let what = format!("no frame is left of {} from frame {} on", recording.frames.len(), settings.first);
+        return Err(InputError::new(what, &recording.root, "start earlier, or use all frames").into());
     }
     progress.begin("load", selected.len() as u64);
     let done = AtomicU64::new(0);
@@ -74,12 +70,7 @@ pub fn load(
         }
     }
     if frames.is_empty() {
-        return Err(InputError::new(
-            "every depth image is empty",
-            &recording.root,
-            "record again with depth",
-        )
-        .into());
+        return Err(recording.without_depth().into());
     }
     let x_world_recording = align(recording, settings.align, &settings.noise, &frames, warnings);
     for frame in &mut frames {

@@ -13,7 +13,7 @@ use crate::{FramesError, Notice, Recording};
 use overlap::{DepthSamples, median};
 use rayon::prelude::*;
 use readings::CheckData;
-use sms_core::{Cancel, Image, InputError, Progress};
+use sms_core::{Cancel, Image, Progress};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -37,7 +37,7 @@ struct Scanned {
 /// unit and pixel centre with the common alternatives.
 ///
 /// # Errors
-/// [`InputError`] naming the file that is missing, damaged or empty; [`FramesError::Interrupted`] when cancelled.
+/// [`FramesError::Input`] naming the file that is missing, damaged or empty; [`FramesError::Interrupted`] when cancelled.
 /// Conventions that do not fit are reported as [`Finding`]s, not as errors.
 pub fn check(
     recording: &Recording,
@@ -61,12 +61,7 @@ pub fn check(
         .collect();
     let mut scanned = scanned.into_iter().collect::<Result<Vec<_>, _>>()?;
     if scanned.iter().all(|s| s.valid == 0) {
-        return Err(InputError::new(
-            "every depth image is empty",
-            &recording.root,
-            "record again with depth",
-        )
-        .into());
+        return Err(recording.without_depth().into());
     }
     let probes: Vec<DepthSamples> = scanned
         .iter_mut()

@@ -95,12 +95,9 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
     let text = std::fs::read_to_string(&json).map_err(CoreError::read(&json))?;
     let all: TransformsJson = serde_json::from_str(&text).map_err(|e| parse_error(&json, &text, &e))?;
     if all.frames.is_empty() {
-        return Err(InputError::new(
-            "the recording has no frames",
-            &json,
-            "\"frames\" must list at least one frame with file_path, depth_file_path and transform_matrix",
-        )
-        .into());
+        let cure =
+            "\"frames\" must list at least one frame with file_path, depth_file_path and transform_matrix";
+        return Err(InputError::new("the recording has no frames", &json, cure).into());
     }
     let mut notices = Vec::new();
     let axes = options.axes.map_or_else(|| declared_axes(all.camera_convention.as_deref(), &json), Ok)?;
@@ -119,12 +116,10 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
     };
     let pixel_center = options.pixel_center.or(all.pixel_center).unwrap_or(0.5);
     let scale = positive(all.applied_scale.unwrap_or(1.0), "applied_scale", &json)?;
-    let world_up_r = match all.world_up.map(DVec3::from) {
-        Some(up) => Some(up.try_normalize().ok_or_else(|| {
-            InputError::new("\"world_up\" is not a direction", &json, "give three numbers, e.g. [0, 0, 1]")
-        })?),
-        None => None,
-    };
+    let no_direction =
+        || InputError::new("\"world_up\" is not a direction", &json, "give three numbers, e.g. [0, 0, 1]");
+    let direction = |up| DVec3::from_array(up).try_normalize().ok_or_else(no_direction);
+    let world_up_r = all.world_up.map(direction).transpose()?;
     let reader = Reader {
         dir,
         json: json.clone(),
@@ -216,12 +211,9 @@ impl Reader<'_> {
     fn frame(&self, index: usize, frame: &FrameKeys, all: &CameraKeys) -> Result<RecordedFrame, FramesError> {
         let color_path = self.resolve(&frame.file_path);
         let Some(depth_name) = &frame.depth_file_path else {
-            return Err(InputError::new(
-                format!("frame {index} ({}) has no depth", frame.file_path),
-                &self.json,
-                "add \"depth_file_path\" to every frame: RGB-D recordings are required",
-            )
-            .into());
+            let what = format!("frame {index} ({}) has no depth", frame.file_path);
+            let cure = "add \"depth_file_path\" to every frame: RGB-D recordings are required";
+            return Err(InputError::new(what, &self.json, cure).into());
         };
         let depth_path = self.resolve(depth_name);
         let mask_path = frame.mask_path.as_deref().map(|m| self.resolve(m));
@@ -276,23 +268,17 @@ impl Reader<'_> {
         if let Some(model) = keys.own.camera_model.as_ref().or(keys.shared.camera_model.as_ref())
             && !["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"].contains(&model.as_str())
         {
-            return Err(InputError::new(
-                format!("the camera model {model} is not supported"),
-                json,
-                "undistort the recording to the PINHOLE or OPENCV model",
-            )
-            .into());
+            let what = format!("the camera model {model} is not supported");
+            let cure = "undistort the recording to the PINHOLE or OPENCV model";
+            return Err(InputError::new(what, json, cure).into());
         }
         if let (Some(w), Some(h)) = (keys.get(|k| k.w), keys.get(|k| k.h))
             && (w.round() as usize, h.round() as usize) != size
         {
-            return Err(InputError::new(
-                format!("the image is {} × {} but its intrinsics are for {w} × {h}", size.0, size.1),
-                image,
-                "restore the image at its original size, or scale w, h, fl_x, fl_y, cx and cy in transforms.json \
-                 to the image",
-            )
-            .into());
+            let what = format!("the image is {} × {} but its intrinsics are for {w} × {h}", size.0, size.1);
+            let cure = "restore the image at its original size, or scale w, h, fl_x, fl_y, cx and cy in \
+                        transforms.json to the image";
+            return Err(InputError::new(what, image, cure).into());
         }
         let by_angle = |angle: f64| 0.5 * size.0 as f64 / (0.5 * angle).tan();
         let fx = keys.get(|k| k.fl_x).or(keys.get(|k| k.camera_angle_x).map(by_angle));
@@ -303,12 +289,8 @@ impl Reader<'_> {
             let cy = keys.get(|k| k.cy).unwrap_or(middle(size.1));
             [fx, keys.get(|k| k.fl_y).unwrap_or(fx), cx, cy]
         })) else {
-            return Err(InputError::new(
-                "the camera's focal length is missing",
-                json,
-                "add fl_x, fl_y, cx and cy in pixels, for all frames or in each",
-            )
-            .into());
+            let cure = "add fl_x, fl_y, cx and cy in pixels, for all frames or in each";
+            return Err(InputError::new("the camera's focal length is missing", json, cure).into());
         };
         let stated: [fn(&CameraKeys) -> Option<f64>; 5] = [|k| k.k1, |k| k.k2, |k| k.p1, |k| k.p2, |k| k.k3];
         let stated = stated.map(|key| keys.get(key).unwrap_or(0.0));
@@ -356,8 +338,8 @@ pub(crate) fn not_registered(
     InputError::new(what, depth_image, cure)
 }
 
-/// Returns the intrinsics of an image size (width, height) with `[fx, fy, cx, cy]` in pixels; `shift` is added to the principal
-/// point. Rejects implausible values.
+/// Returns the intrinsics of an image of width × height pixels; `shift` is added to the principal point. Rejects
+/// implausible values.
 pub(crate) fn checked_intrinsics(
     (width, height): (usize, usize),
     [fx, fy, cx, cy]: [f64; 4],
