@@ -5,7 +5,7 @@ use crate::align::{add_row, align_rigidly, lever, moved_about};
 use crate::graph::{Graph, choose_pairs};
 use crate::linear::{Block, Six, System};
 use crate::residual::{
-    Brightness, CarriedPoints, Histogram, PairSums, ResidualStats, ShiftSums, Weighing, linearise,
+    Arc, Brightness, Histogram, LinearisationPoint, PairSums, ResidualStats, ShiftSums, Weighing, linearise,
 };
 use crate::views::{Point, PreparedFrame};
 use glamx::{DPose3, DVec3};
@@ -30,24 +30,6 @@ struct RefinementState {
     color_shift: [f64; 2],
     arcs: Vec<Arc>,
     weighing: Weighing,
-}
-
-/// The point at which all residuals are linearised.
-#[derive(Clone, Copy)]
-pub(crate) struct LinearisationPoint<'a> {
-    /// Level of the brightness images.
-    pub(crate) level: usize,
-    pub(crate) poses: &'a [DPose3],
-    /// Shift of the colour against the depth, pixels at loaded size.
-    pub(crate) color_shift: [f64; 2],
-}
-
-/// One direction of a pair: points of `from` are projected into `to`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Arc {
-    pub(crate) from: usize,
-    pub(crate) to: usize,
-    pub(crate) brightness: Brightness,
 }
 
 pub(crate) fn arcs(pairs: &[(usize, usize)]) -> Vec<Arc> {
@@ -92,20 +74,11 @@ impl<'a> BundleAdjustment<'a> {
         at: LinearisationPoint<'_>,
         weighing: &Weighing,
     ) -> Vec<PairSums> {
-        arcs.par_iter()
-            .map(|arc| {
-                let carried = CarriedPoints {
-                    points: &points[arc.from],
-                    into: &self.views[arc.to],
-                    level: at.level,
-                    x_wi: &at.poses[arc.from],
-                    x_wj: &at.poses[arc.to],
-                    brightness: arc.brightness,
-                    color_shift: at.color_shift,
-                };
-                linearise(&carried, self.center_w, weighing, self.config)
-            })
-            .collect()
+        let sums = |arc: &Arc| {
+            let (points, into) = (&points[arc.from], &self.views[arc.to]);
+            linearise(points, into, arc, at, self.center_w, weighing, self.config)
+        };
+        arcs.par_iter().map(sums).collect()
     }
 
     /// Adds the prior at the given pose: rotation and camera position, each with its standard deviation.

@@ -236,27 +236,36 @@ impl Sums {
     }
 }
 
-/// The points of frame i and the frame j that they are mapped into.
-pub(crate) struct CarriedPoints<'a> {
-    pub(crate) points: &'a [Point],
-    pub(crate) into: &'a PreparedFrame,
+/// The point at which all residuals are linearised.
+#[derive(Clone, Copy)]
+pub(crate) struct LinearisationPoint<'a> {
     /// Level of the brightness images.
     pub(crate) level: usize,
-    pub(crate) x_wi: &'a DPose3,
-    pub(crate) x_wj: &'a DPose3,
-    pub(crate) brightness: Brightness,
+    pub(crate) poses: &'a [DPose3],
     /// Shift of the colour against the depth, pixels at loaded size.
     pub(crate) color_shift: [f64; 2],
 }
 
-/// Maps the points of frame i into frame j and sums up their linearised residuals.
+/// One direction of a pair: points of `from` are projected into `to`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Arc {
+    pub(crate) from: usize,
+    pub(crate) to: usize,
+    pub(crate) brightness: Brightness,
+}
+
+/// Maps points of frame i (`arc.from`) into frame j (`arc.to`, which is `view_j`) and sums up their linearised residuals.
 pub(crate) fn linearise(
-    carried: &CarriedPoints<'_>,
+    points: &[Point],
+    view_j: &PreparedFrame,
+    arc: &Arc,
+    at: LinearisationPoint<'_>,
     center_w: DVec3,
     weighing: &Weighing,
     config: &PosesConfig,
 ) -> PairSums {
-    let CarriedPoints { points, into: view_j, level, x_wi, x_wj, brightness, color_shift } = *carried;
+    let LinearisationPoint { level, poses, color_shift } = at;
+    let (x_wi, x_wj, brightness) = (&poses[arc.from], &poses[arc.to], arc.brightness);
     let x_ji = x_wj.inverse() * *x_wi;
     let center = x_wj.inverse_transform_point(center_w);
     let turn = DMat3::from_quat(x_ji.rotation);
@@ -310,9 +319,8 @@ pub(crate) fn linearise(
             }
         }
     }
-    for (k, (value, sigma)) in
-        [brightness.gain, brightness.offset].into_iter().zip(Brightness::PRIOR).enumerate()
-    {
+    let values = [brightness.gain, brightness.offset];
+    for (k, (value, sigma)) in values.into_iter().zip(Brightness::PRIOR).enumerate() {
         sums.bh[k][k] += sigma.powi(-2);
         sums.bg[k] += value * sigma.powi(-2);
     }
