@@ -1,12 +1,12 @@
 //! Recordings of the scenes, rendered when they are first needed.
 
 use crate::error::BenchError;
+use crate::models::orbit_poses;
 use crate::options::BenchOptions;
 use crate::scenes::{BenchScene, generated, real_data_dir};
 use sms_core::{Cancel, CoreError, Progress, Seed, hash_serializable};
 use sms_synth::{
-    HelicalPath, ModelScene, RecordingSettings, SceneViews, Skin, bounds_w, orbit_poses, record_views,
-    write_recording,
+    HelicalPath, ModelScene, RecordingSettings, SceneViews, Skin, bounds_w, record_views, write_recording,
 };
 use std::path::PathBuf;
 

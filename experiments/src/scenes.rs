@@ -1,11 +1,12 @@
 //! The scenes that are measured.
 
+use crate::models::model_scene;
+use crate::stacked::{Structure, generate_stacked};
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, InputError, Seed};
 use sms_synth::{
-    BilliardsSettings, FIXED_SCENES, LandingStructure, ModelScene, Structure, TruthScene, billiards_scene,
-    generate_billiards, generate_stacked, landing_scene, landing_scene_among, model_scene, read_model,
-    read_models,
+    BilliardsSettings, FIXED_SCENES, LandingStructure, ModelScene, TruthScene, billiards_scene,
+    generate_billiards, landing_scene, landing_scene_among, read_model, read_models,
 };
 use std::fmt;
 use std::ops::RangeInclusive;

@@ -1,13 +1,13 @@
 //! Worlds in which a plan may really have to work.
 
 use crate::plan_scenes::true_scene;
+use crate::redrawn::redraw_materials;
 use crate::{BenchError, PlanScene};
 use rayon::prelude::*;
 use sms_core::{Cancel, Seed};
 use sms_plan::{Perturbation, PlanError};
 use sms_scene::Scene;
 use sms_sim::{RapierFactory, SimError, StrikerMotion, WorldFactory, WorldOptions};
-use sms_synth::redraw_materials;
 use sms_task::{Action, ResolvedTask};
 
 /// Half width of the perturbations that measure chaos, metres.

@@ -1,8 +1,8 @@
 //! World alignment: the up direction from the support plane of an unaligned recording.
 
-use crate::{Align, DepthNoise, Recording};
+use crate::{Align, DepthNoise, Frame, Recording};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
-use sms_core::{DepthImage, Intrinsics, NormalImage, Seed, Warnings};
+use sms_core::{Seed, Warnings};
 
 mod planes;
 
@@ -22,21 +22,12 @@ const NORMAL_TOLERANCE_RAD: f64 = 0.15;
 /// Maximum angle between the images' mean upward direction and the axis that it counts as; cameras look down a little.
 const IMAGE_UP_TOLERANCE_RAD: f64 = 0.35;
 
-/// The part of a loaded frame that alignment uses.
-pub(crate) struct AlignmentView<'a> {
-    pub(crate) intrinsics: Intrinsics,
-    /// Camera pose in the recording's world.
-    pub(crate) x_rc: DPose3,
-    pub(crate) depth: &'a DepthImage,
-    pub(crate) normal_c: &'a NormalImage,
-}
-
-/// Computes the transform from the recording's world to ours.
+/// Computes the transform from the recording's world to ours. The cameras of `views` are still in the recording's world.
 pub(crate) fn align(
     recording: &Recording,
     align: Align,
     noise: &DepthNoise,
-    views: &[AlignmentView<'_>],
+    views: &[Frame],
     warnings: &Warnings,
 ) -> DPose3 {
     let stated_up_r = match align {
@@ -45,7 +36,7 @@ pub(crate) fn align(
         Align::Auto => recording.world_up_r,
         Align::Up(up) => DVec3::from(up).try_normalize(),
     };
-    let origin_r = views.first().map_or(DVec3::ZERO, |v| v.x_rc.translation);
+    let origin_r = views.first().map_or(DVec3::ZERO, |v| v.camera.x_wc.translation);
     let cells = FusedCells::gather(views, origin_r);
     let planes = find_planes(&cells, noise, Seed(0).derive("align"));
     let mut up_r = stated_up_r;
@@ -89,13 +80,11 @@ pub(crate) fn align(
             let mut heights: Vec<f64> = cells.points.iter().map(|p| p.dot(up)).collect();
             heights.sort_by(f64::total_cmp);
             let low = heights.get(heights.len() / 100).copied().unwrap_or(0.0);
-            let mean =
-                cells.points.iter().fold(DVec3::ZERO, |s, p| s + *p) / (cells.points.len().max(1) as f64);
-            (low, mean)
+            (low, cells.points.iter().sum::<DVec3>() / (cells.points.len().max(1) as f64))
         }
     };
     // World x along the first camera's right, so that the first view shows the world upright and unmirrored.
-    let right = views.first().map_or(DVec3::X, |v| v.x_rc.rotation * DVec3::X);
+    let right = views.first().map_or(DVec3::X, |v| v.camera.x_wc.rotation * DVec3::X);
     let x = (right - up * right.dot(up)).try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
     let y = up.cross(x);
     let rotation = crate::rigid::nearest_rotation(DMat3::from_cols(x, y, up).transpose());
@@ -104,9 +93,9 @@ pub(crate) fn align(
 }
 
 /// Returns the identity for worlds near the origin, a translation by whole metres for far ones.
-fn recenter(views: &[AlignmentView<'_>], warnings: &Warnings) -> DPose3 {
+fn recenter(views: &[Frame], warnings: &Warnings) -> DPose3 {
     let n = views.len().max(1) as f64;
-    let mean = views.iter().fold(DVec3::ZERO, |s, v| s + v.x_rc.translation / n);
+    let mean = views.iter().fold(DVec3::ZERO, |s, v| s + v.camera.x_wc.translation / n);
     if mean.abs().max_element() < FAR_M {
         return DPose3::identity();
     }
@@ -127,14 +116,14 @@ fn recenter(views: &[AlignmentView<'_>], warnings: &Warnings) -> DPose3 {
 }
 
 /// Returns the mean upward direction of the images in the recording's world.
-fn camera_up_r(views: &[AlignmentView<'_>]) -> DVec3 {
-    let sum = views.iter().fold(DVec3::ZERO, |s, v| s - v.x_rc.rotation * DVec3::Y);
+fn camera_up_r(views: &[Frame]) -> DVec3 {
+    let sum = views.iter().fold(DVec3::ZERO, |s, v| s - v.camera.x_wc.rotation * DVec3::Y);
     sum.try_normalize().unwrap_or(DVec3::Z)
 }
 
 /// Returns the axis of the recording's world (z, or y as in ARKit) that is up in the images and lies in the ambiguous
 /// plane; `None` when the plane's own normal is such an axis, or no axis is up in the images.
-fn axis_held_upright(views: &[AlignmentView<'_>], plane: &SupportCandidate) -> Option<DVec3> {
+fn axis_held_upright(views: &[Frame], plane: &SupportCandidate) -> Option<DVec3> {
     for axis in [DVec3::Z, DVec3::Y] {
         if plane.normal.angle_between(axis) < NORMAL_TOLERANCE_RAD {
             return None;
@@ -151,7 +140,7 @@ fn axis_held_upright(views: &[AlignmentView<'_>], plane: &SupportCandidate) -> O
 fn choose<'a>(
     planes: &'a [SupportCandidate],
     cells: &FusedCells,
-    views: &[AlignmentView<'_>],
+    views: &[Frame],
     origin_r: DVec3,
     up_r: Option<DVec3>,
 ) -> Option<&'a SupportCandidate> {
@@ -167,13 +156,13 @@ fn choose<'a>(
 fn score(
     plane: &SupportCandidate,
     cells: &FusedCells,
-    views: &[AlignmentView<'_>],
+    views: &[Frame],
     origin_r: DVec3,
     up_known: bool,
 ) -> f64 {
     let n = views.len().max(1) as f64;
     let cameras_above =
-        views.iter().filter(|v| plane.height(v.x_rc.translation - origin_r) > 0.0).count() as f64 / n;
+        views.iter().filter(|v| plane.height(v.camera.x_wc.translation - origin_r) > 0.0).count() as f64 / n;
     let margin = 4.0 * plane.tolerance;
     let below = cells.points.iter().filter(|p| plane.height(**p) < -margin).count() as f64;
     let below = below / cells.points.len().max(1) as f64;
@@ -181,10 +170,12 @@ fn score(
     let upright = if up_known {
         1.0
     } else {
-        let mean =
-            |axis: DVec3| views.iter().map(|v| (v.x_rc.rotation * axis).dot(plane.normal)).sum::<f64>() / n;
+        let mean = |axis: DVec3| {
+            views.iter().map(|v| (v.camera.x_wc.rotation * axis).dot(plane.normal)).sum::<f64>() / n
+        };
         let roll =
-            views.iter().map(|v| (v.x_rc.rotation * DVec3::X).dot(plane.normal).powi(2)).sum::<f64>() / n;
+            views.iter().map(|v| (v.camera.x_wc.rotation * DVec3::X).dot(plane.normal).powi(2)).sum::<f64>()
+                / n;
         // A wall faces the camera and has no component along the image's up; a table seen from straight above has
         // none either, so this only halves the score.
         let image_up = (-mean(DVec3::Y)).clamp(0.0, 1.0);

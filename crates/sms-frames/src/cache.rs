@@ -45,15 +45,7 @@ struct FrameEntry {
 }
 
 impl Sequence {
-    /// Writes the sequence to `dir`; [`Sequence::load`] gives back the same bits.
-    ///
-    /// # Errors
-    /// [`CoreError::Write`].
-    pub fn save(&self, dir: &Path) -> Result<(), FramesError> {
-        self.save_with_settings(dir, &serde_json::Value::Null)
-    }
-
-    /// Writes the sequence and records the settings that it was loaded with.
+    /// Writes the sequence and the settings that it was loaded with; [`Sequence::load`] gives back the same bits.
     ///
     /// # Errors
     /// [`CoreError::Write`].
@@ -102,7 +94,7 @@ impl Sequence {
         atomic::write_json(&dir.join("sequence.json"), &file)
     }
 
-    /// Reads a sequence that [`Sequence::save`] wrote.
+    /// Reads a sequence that [`Sequence::save_with_settings`] wrote.
     ///
     /// # Errors
     /// [`InputError`] naming the file when it is missing, damaged or of another version.
@@ -120,12 +112,9 @@ impl Sequence {
                 let color = read_png_color(&color_file)?;
                 let k = entry.camera.intrinsics;
                 if color.size() != (k.width, k.height) {
-                    return Err(InputError::new(
-                        "the size of this cached image differs from the camera's",
-                        &color_file,
-                        "scan the recording again",
-                    )
-                    .into());
+                    let what = "the size of this cached image differs from the camera's";
+                    let cure = "scan the recording again";
+                    return Err(InputError::new(what, &color_file, cure).into());
                 }
                 let depth =
                     depth_from_bytes(inflate(blocks[2 * i]), k.width, k.height).ok_or_else(damaged)?;
@@ -151,8 +140,8 @@ impl Sequence {
     }
 }
 
-/// Reads the cameras and depth images of up to `most` evenly spread frames of a sequence that [`Sequence::save`] wrote, in a
-/// fraction of the time of [`Sequence::load`].
+/// Reads the cameras and depth images of up to `most` evenly spread frames of a saved sequence, in a fraction of the
+/// time of [`Sequence::load`].
 ///
 /// # Errors
 /// As [`Sequence::load`].
@@ -184,12 +173,8 @@ fn read_files(dir: &Path) -> Result<(SequenceFile, Vec<u8>), FramesError> {
     }
     let file: SequenceFile = atomic::read_json(&path)?;
     if file.version != VERSION {
-        return Err(InputError::new(
-            format!("this sequence has version {} and this program reads {VERSION}", file.version),
-            &path,
-            "scan the recording again",
-        )
-        .into());
+        let what = format!("this sequence has version {} and this program reads {VERSION}", file.version);
+        return Err(InputError::new(what, &path, "scan the recording again").into());
     }
     let path = geometry_file(dir);
     let geometry = std::fs::read(&path).map_err(CoreError::read(&path))?;
@@ -327,7 +312,7 @@ mod tests {
         for off_grid in [0.0, 0.123_456_79] {
             let dir = tempfile::tempdir().unwrap();
             let saved = sequence(off_grid);
-            saved.save(dir.path()).unwrap();
+            saved.save_with_settings(dir.path(), &()).unwrap();
             let read = Sequence::load(dir.path()).unwrap();
             assert_eq!(read.x_world_recording, saved.x_world_recording);
             assert_eq!(read.source, saved.source);
@@ -350,7 +335,7 @@ mod tests {
     #[test]
     fn a_damaged_cache_is_named() {
         let dir = tempfile::tempdir().unwrap();
-        sequence(0.0).save(dir.path()).unwrap();
+        sequence(0.0).save_with_settings(dir.path(), &()).unwrap();
         let path = dir.path().join("geometry.bin");
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() - 3]).unwrap();

@@ -30,11 +30,14 @@ fn damaged(kind: &str, path: &Path, reason: impl std::fmt::Display) -> InputErro
     .because(reason)
 }
 
+fn open_color(path: &Path) -> Result<ImageReader<BufReader<File>>, FramesError> {
+    let reader = ImageReader::open(path).map_err(|e| missing("colour", path, e))?;
+    Ok(reader.with_guessed_format().map_err(|e| damaged("colour", path, e))?)
+}
+
 /// Reads width and height from the header alone.
 pub(crate) fn color_size(path: &Path) -> Result<(usize, usize), FramesError> {
-    let reader = ImageReader::open(path).map_err(|e| missing("colour", path, e))?;
-    let reader = reader.with_guessed_format().map_err(|e| damaged("colour", path, e))?;
-    let (w, h) = reader.into_dimensions().map_err(|e| damaged("colour", path, e))?;
+    let (w, h) = open_color(path)?.into_dimensions().map_err(|e| damaged("colour", path, e))?;
     Ok((w as usize, h as usize))
 }
 
@@ -45,12 +48,9 @@ pub(crate) fn depth_size(path: &Path) -> Result<(usize, usize), FramesError> {
         png::Decoder::new(BufReader::new(file)).read_info().map_err(|e| damaged("depth", path, e))?;
     let info = reader.info();
     if info.bit_depth != png::BitDepth::Sixteen {
-        return Err(InputError::new(
-            format!("the depth image has {} bits per pixel instead of 16", info.bit_depth as u8),
-            path,
-            "export depth as 16-bit PNG (a preview or colourised depth image cannot be used)",
-        )
-        .into());
+        let what = format!("the depth image has {} bits per pixel instead of 16", info.bit_depth as u8);
+        let cure = "export depth as 16-bit PNG (a preview or colourised depth image cannot be used)";
+        return Err(InputError::new(what, path, cure).into());
     }
     Ok((info.width as usize, info.height as usize))
 }
@@ -60,9 +60,7 @@ pub(crate) fn read_color(path: &Path) -> Result<ColorImage, FramesError> {
     if is_png(path) {
         return sms_core::read_png_color(path);
     }
-    let reader = ImageReader::open(path).map_err(|e| missing("colour", path, e))?;
-    let reader = reader.with_guessed_format().map_err(|e| damaged("colour", path, e))?;
-    let rgb = reader.decode().map_err(|e| damaged("colour", path, e))?.to_rgb8();
+    let rgb = open_color(path)?.decode().map_err(|e| damaged("colour", path, e))?.to_rgb8();
     let (w, h) = (rgb.width() as usize, rgb.height() as usize);
     Ok(Image::from_vec(w, h, rgb.pixels().map(|p| p.0).collect()))
 }

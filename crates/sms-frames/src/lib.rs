@@ -44,7 +44,7 @@ pub use load::load;
 pub use normals::normals_from_depth;
 pub use options::{Align, Axes, DepthNoise, LoadSettings, PoseDirection, ReadOptions};
 pub use recording::{Notice, RecordedFrame, Recording, RecordingFormat};
-pub use resample::{resample_depth, resample_labels, resize_color, target_intrinsics, undistort_color};
+pub use resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
 pub use sequence::{Frame, Sequence};
 
 /// Errors of this crate: bad input, unreadable files, an interruption.

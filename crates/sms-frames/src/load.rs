@@ -1,21 +1,13 @@
 //! Loading: images are read, undistorted and resampled, normals computed, the world aligned.
 
-use crate::align::{AlignmentView, align};
+use crate::align::align;
 use crate::images::read_color;
 use crate::normals::normals_from_depth;
 use crate::resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
-use crate::{Frame, FramesError, LoadSettings, RecordedFrame, Recording, Sequence};
+use crate::{Frame, FramesError, LoadSettings, Recording, Sequence};
 use rayon::prelude::*;
-use sms_core::{Camera, ColorImage, DepthImage, InputError, Intrinsics, NormalImage, StageContext};
+use sms_core::{Camera, InputError, StageContext};
 use std::sync::atomic::{AtomicU64, Ordering};
-
-/// A frame before alignment.
-struct Loaded {
-    intrinsics: Intrinsics,
-    color: ColorImage,
-    depth: DepthImage,
-    normal_c: NormalImage,
-}
 
 /// Returns the indices of the recorded frames that `settings` select.
 pub(crate) fn selected_frames(recording: &Recording, settings: &LoadSettings) -> Vec<usize> {
@@ -42,16 +34,12 @@ pub fn load(
     }
     let selected = selected_frames(recording, settings);
     if selected.is_empty() {
-        return Err(InputError::new(
-            format!("no frame is left of {} from frame {} on", recording.frames.len(), settings.first),
-            &recording.root,
-            "start earlier, or use all frames",
-        )
-        .into());
+        let what = format!("no frame is left of {} from frame {} on", recording.frames.len(), settings.first);
+        return Err(InputError::new(what, &recording.root, "start earlier, or use all frames").into());
     }
     progress.begin("load", selected.len() as u64);
     let done = AtomicU64::new(0);
-    let loaded: Vec<Result<Option<Loaded>, FramesError>> = selected
+    let loaded: Vec<Result<Option<Frame>, FramesError>> = selected
         .par_iter()
         .map(|&i| {
             cancel.check()?;
@@ -69,10 +57,10 @@ pub fn load(
             }
         })
         .collect();
-    let mut kept: Vec<(&RecordedFrame, Loaded)> = Vec::with_capacity(selected.len());
+    let mut frames: Vec<Frame> = Vec::with_capacity(selected.len());
     for (result, &i) in loaded.into_iter().zip(&selected) {
         match result? {
-            Some(frame) => kept.push((&recording.frames[i], frame)),
+            Some(frame) => frames.push(Frame { index: frames.len(), ..frame }),
             None => warnings.add(
                 "scan",
                 "empty_depth_skipped",
@@ -81,39 +69,13 @@ pub fn load(
             ),
         }
     }
-    if kept.is_empty() {
-        return Err(InputError::new(
-            "every depth image is empty",
-            &recording.root,
-            "record again with depth",
-        )
-        .into());
+    if frames.is_empty() {
+        return Err(recording.without_depth().into());
     }
-    let views: Vec<AlignmentView<'_>> = kept
-        .iter()
-        .map(|(r, l)| AlignmentView {
-            intrinsics: l.intrinsics,
-            x_rc: r.x_rc,
-            depth: &l.depth,
-            normal_c: &l.normal_c,
-        })
-        .collect();
-    let x_world_recording = align(recording, settings.align, &settings.noise, &views, warnings);
-    drop(views);
-    let frames: Vec<Frame> = kept
-        .into_iter()
-        .enumerate()
-        .map(|(index, (recorded, loaded))| Frame {
-            index,
-            time_s: recorded.time_s,
-            camera: Camera::new(loaded.intrinsics, x_world_recording * recorded.x_rc),
-            color: loaded.color,
-            depth: loaded.depth,
-            normal_c: loaded.normal_c,
-            color_path: recorded.color_path.clone(),
-            mask_path: recorded.mask_path.clone(),
-        })
-        .collect();
+    let x_world_recording = align(recording, settings.align, &settings.noise, &frames, warnings);
+    for frame in &mut frames {
+        frame.camera.x_wc = x_world_recording * frame.camera.x_wc;
+    }
     let (w, h) = frames[0].color.size();
     progress.end(&format!("{} frames at {w} × {h}", frames.len()));
     Ok(Sequence { frames, x_world_recording, source: recording.root.clone() })
@@ -124,13 +86,22 @@ fn is_empty(recording: &Recording, index: usize) -> bool {
         .is_ok_and(|d| d.data.iter().all(|&v| v == 0))
 }
 
-fn load_frame(recording: &Recording, index: usize, settings: &LoadSettings) -> Result<Loaded, FramesError> {
-    let frame = &recording.frames[index];
-    let intrinsics = target_intrinsics(&frame.color_lens, settings.long_side);
+/// Loads a frame whose camera is still in the recording's world.
+fn load_frame(recording: &Recording, index: usize, settings: &LoadSettings) -> Result<Frame, FramesError> {
+    let recorded = &recording.frames[index];
+    let intrinsics = target_intrinsics(&recorded.color_lens, settings.long_side);
     let native = recording.read_depth_m(index)?;
-    let depth = resample_depth(&native, &frame.depth_lens, &intrinsics, &settings.noise);
+    let depth = resample_depth(&native, &recorded.depth_lens, &intrinsics, &settings.noise);
     let normal_c = normals_from_depth(&depth, &intrinsics, &settings.noise, settings.normal_radius);
-    let color = undistort_color(&read_color(&frame.color_path)?, &frame.color_lens);
-    let color = resize_color(&color, intrinsics.width, intrinsics.height);
-    Ok(Loaded { intrinsics, color, depth, normal_c })
+    let color = undistort_color(&read_color(&recorded.color_path)?, &recorded.color_lens);
+    Ok(Frame {
+        index,
+        time_s: recorded.time_s,
+        camera: Camera::new(intrinsics, recorded.x_rc),
+        color: resize_color(&color, intrinsics.width, intrinsics.height),
+        depth,
+        normal_c,
+        color_path: recorded.color_path.clone(),
+        mask_path: recorded.mask_path.clone(),
+    })
 }

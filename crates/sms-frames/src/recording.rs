@@ -101,27 +101,20 @@ impl Recording {
             return Self::open(parent.unwrap_or(Path::new(".")), options);
         }
         if !dir.is_dir() {
-            return Err(InputError::new(
-                "this recording folder does not exist",
-                dir,
-                "give the folder that holds transforms.json, or rgb.txt, depth.txt and groundtruth.txt",
-            )
-            .into());
+            let cure =
+                "give the folder that holds transforms.json, or rgb.txt, depth.txt and groundtruth.txt";
+            return Err(InputError::new("this recording folder does not exist", dir, cure).into());
         }
-        let recording = if dir.join("transforms.json").is_file() {
-            formats::nerfstudio::open(dir, options)?
+        if dir.join("transforms.json").is_file() {
+            formats::nerfstudio::open(dir, options)
         } else if dir.join("rgb.txt").is_file() || dir.join("groundtruth.txt").is_file() {
-            formats::tum::open(dir, options)?
+            formats::tum::open(dir, options)
         } else {
-            return Err(InputError::new(
-                "this folder does not hold a recording of a known format",
-                dir,
-                "it must hold transforms.json (nerfstudio, with depth_file_path), or rgb.txt, depth.txt and \
-                 groundtruth.txt (TUM RGB-D)",
-            )
-            .into());
-        };
-        Ok(recording)
+            let what = "this folder does not hold a recording of a known format";
+            let cure = "it must hold transforms.json (nerfstudio, with depth_file_path), or rgb.txt, depth.txt \
+                        and groundtruth.txt (TUM RGB-D)";
+            Err(InputError::new(what, dir, cure).into())
+        }
     }
 
     /// Reads the depth image of a frame in metres at its recorded size, distortion included; 0 where there is no
@@ -133,12 +126,9 @@ impl Recording {
         let path = &self.frames[index].depth_path;
         let raw = images::read_depth(path)?;
         if raw.data.iter().all(|&v| v == 0) {
-            return Err(InputError::new(
-                "the depth image is empty: every pixel is 0",
-                path,
-                "record or export this frame again, remove it from the recording, or set skip_empty_depth",
-            )
-            .into());
+            let cure =
+                "record or export this frame again, remove it from the recording, or set skip_empty_depth";
+            return Err(InputError::new("the depth image is empty: every pixel is 0", path, cure).into());
         }
         let (low, high) = (self.options.min_depth_m as f32, self.options.max_depth_m as f32);
         let unit = self.depth_unit_m;
@@ -148,47 +138,23 @@ impl Recording {
         });
         if depth.data.iter().all(|&z| z == 0.0) {
             let most = raw.data.iter().copied().max().unwrap_or(0);
-            return Err(InputError::new(
-                format!("no depth lies between {low} and {high} m (the largest value is {most} × {unit} m)"),
-                path,
-                "check the depth unit (depth_unit_scale_factor) with `sms check`, or set min_depth_m and max_depth_m",
-            )
-            .into());
+            let what =
+                format!("no depth lies between {low} and {high} m (the largest value is {most} × {unit} m)");
+            let cure = "check the depth unit (depth_unit_scale_factor) with `sms check`, or set min_depth_m and \
+                        max_depth_m";
+            return Err(InputError::new(what, path, cure).into());
         }
         Ok(depth)
+    }
+
+    /// The error for a recording without any depth.
+    pub(crate) fn without_depth(&self) -> InputError {
+        InputError::new("every depth image is empty", &self.root, "record again with depth")
     }
 
     /// Returns the index of the recorded frame of a loaded frame.
     pub fn index_of(&self, frame: &crate::Frame) -> Option<usize> {
         self.frames.iter().position(|f| f.color_path == frame.color_path)
-    }
-
-    /// Reads the label image of frame `index` and resamples it (nearest neighbour, distortion undone) to the
-    /// loaded frame's `intrinsics`; `None` when the recording has none for it.
-    ///
-    /// # Errors
-    /// When the file is missing or damaged, or its size is not that of the colour image.
-    pub fn read_labels(
-        &self,
-        index: usize,
-        intrinsics: &sms_core::Intrinsics,
-    ) -> Result<Option<sms_core::LabelMap>, FramesError> {
-        let frame = &self.frames[index];
-        let Some(path) = &frame.mask_path else { return Ok(None) };
-        let map = sms_core::read_png_labels(path)?;
-        let k = &frame.color_lens.intrinsics;
-        if map.size() != (k.width, k.height) {
-            return Err(InputError::new(
-                format!(
-                    "the label image is {} × {} but the colour image {} × {}",
-                    map.width, map.height, k.width, k.height
-                ),
-                path,
-                "export label images at the size of the colour images",
-            )
-            .into());
-        }
-        Ok(Some(crate::resample_labels(&map, &frame.color_lens, intrinsics)))
     }
 }
 

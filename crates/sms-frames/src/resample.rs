@@ -2,7 +2,7 @@
 
 use crate::plane_fit::InverseDepthFit;
 use crate::{DepthNoise, Lens};
-use sms_core::{ColorImage, DepthImage, Image, Intrinsics, LabelMap};
+use sms_core::{ColorImage, DepthImage, Image, Intrinsics};
 
 /// Returns the pinhole that a recorded lens is resampled to: its long side `long_side` pixels (0 or larger than recorded keeps
 /// the size), no distortion.
@@ -118,20 +118,6 @@ pub fn undistort_color(image: &ColorImage, lens: &Lens) -> ColorImage {
         }
     }
     Image::from_vec(k.width, k.height, data)
-}
-
-/// Resamples labels to the pinhole `target` by nearest neighbour, undistorted; 0 beyond the recorded image.
-pub fn resample_labels(labels: &LabelMap, lens: &Lens, target: &Intrinsics) -> LabelMap {
-    let mut out = Image::filled(target.width, target.height, 0u16);
-    for y in 0..target.height {
-        for x in 0..target.width {
-            let (u, v) = lens.from_ideal(target, x as f64 + 0.5, y as f64 + 0.5);
-            if let Some(&label) = labels.get(u.floor() as i64, v.floor() as i64) {
-                out[(x, y)] = label;
-            }
-        }
-    }
-    out
 }
 
 /// A depth sample on the target's image plane.

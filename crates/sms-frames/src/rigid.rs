@@ -41,8 +41,7 @@ pub(crate) fn pose_from_rows(rows: &[Vec<f64>]) -> Result<(DPose3, f64), NotRigi
     }
     let column = |j: usize| DVec3::new(rows[0][j], rows[1][j], rows[2][j]);
     let matrix = DMat3::from_cols(column(0), column(1), column(2));
-    let gram = matrix.transpose() * matrix - DMat3::IDENTITY;
-    let deviation = gram.to_cols_array().iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let deviation = gram_deviation(&matrix);
     let determinant = matrix.determinant();
     if determinant <= 0.0 {
         return Err(NotRigid::Determinant(determinant));

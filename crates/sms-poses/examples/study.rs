@@ -5,11 +5,15 @@
 //! by name. A recording `…-N` that does not exist is generated (billiards, seed N). Prints, for each recording, errors
 //! of points at 0.8 m and of poses before and after, and the judgement.
 
+#[path = "../tests/it/compare.rs"]
+mod compare;
+
+use compare::compare_poses;
 use glamx::{DPose3, DQuat, DVec3};
 use rand::RngExt;
 use sms_core::{Cancel, NoProgress, Seed, StageContext, Warnings};
 use sms_frames::{LoadSettings, ReadOptions, Recording, Sequence, load, normals_from_depth};
-use sms_poses::{PosesConfig, PosesMode, compare_poses, refine_poses};
+use sms_poses::{PosesConfig, PosesMode, refine_poses};
 use sms_synth::{BilliardsSettings, RecordingSettings, generate_billiards, write_recording};
 use std::path::Path;
 use std::time::Instant;

@@ -1,7 +1,7 @@
 //! Comparison of refined with given poses on pairs of frames and points that the refinement did not use.
 
-use crate::refine::{BundleAdjustment, LinearisationPoint, arcs};
-use crate::residual::{PairSums, ResidualStats, Weighing};
+use crate::refine::{BundleAdjustment, arcs};
+use crate::residual::{Histogram, LinearisationPoint, PairSums, ResidualStats, Weighing};
 use crate::views::Point;
 use glamx::DPose3;
 use rayon::prelude::*;
@@ -80,14 +80,11 @@ pub(crate) fn judge(problem: &BundleAdjustment<'_>, refined: &[DPose3], color_sh
     let points: Vec<Vec<Point>> = problem
         .views
         .par_iter()
-        .map(|v| {
-            let stride = problem.config.point_stride.max(2.0);
-            v.points(0, stride, [0.0, 0.0], color_shift, problem.config)
-        })
+        .map(|v| v.points(0, problem.config.point_stride.max(2.0), [0.0, 0.0], color_shift, problem.config))
         .collect();
     let before = residuals(problem, pairs, &points, problem.given, color_shift);
     let after = residuals(problem, pairs, &points, refined, color_shift);
-    let gain = |kind: fn(&ResidualStats) -> &crate::residual::Histogram| {
+    let gain = |kind: fn(&ResidualStats) -> &Histogram| {
         let differences: Vec<(f64, f64)> = before
             .iter()
             .zip(&after)
@@ -126,14 +123,10 @@ fn residuals(
 ) -> Vec<ResidualStats> {
     let mut arcs = arcs(pairs);
     let weighing = Weighing { depth_scale: 4.0, color_scale: 4.0, gate_m: problem.widest_gate_m() };
+    let at = LinearisationPoint { level: 0, poses, color_shift };
     let mut sums: Vec<PairSums> = Vec::new();
     for _ in 0..3 {
-        sums = problem.linearise_all(
-            &arcs,
-            points,
-            LinearisationPoint { level: 0, poses, color_shift },
-            &weighing,
-        );
+        sums = problem.linearise_all(&arcs, points, at, &weighing);
         for (arc, pair) in arcs.iter_mut().zip(&sums) {
             arc.brightness = pair.brightness_after(&[0.0; 6], [0.0; 2], arc.brightness);
         }

@@ -44,7 +44,7 @@ mod report;
 mod residual;
 mod views;
 
-pub use align::{PoseErrors, align_rigidly, compare_poses};
+pub use align::align_rigidly;
 pub use config::{PosesConfig, PosesMode};
 pub use judge::{Consistency, Gain, Judgement};
 pub use report::{PoseCorrection, PoseReport, PoseVerdict};
@@ -76,9 +76,12 @@ pub fn refine_poses(
     context: StageContext<'_>,
 ) -> Result<PoseRefinement, CoreError> {
     let StageContext { progress, cancel, warnings, .. } = context;
-    let keep = |report| Ok(PoseRefinement { sequence: sequence.clone(), report });
+    let keep = |verdict| {
+        let report = PoseReport { verdict, ..PoseReport::default() };
+        Ok(PoseRefinement { sequence: sequence.clone(), report })
+    };
     if config.mode == PosesMode::Off {
-        return keep(PoseReport::without_refinement(PoseVerdict::Off));
+        return keep(PoseVerdict::Off);
     }
     config.validate()?;
     let given: Vec<DPose3> = sequence.frames.iter().map(|f| f.camera.x_wc).collect();
@@ -91,7 +94,7 @@ pub fn refine_poses(
             "the poses could not be refined: no two frames overlap enough",
             "record with more overlap, or leave the poses as they are (--refine-poses off)",
         );
-        return keep(PoseReport::without_refinement(PoseVerdict::NotPossible));
+        return keep(PoseVerdict::NotPossible);
     }
     let (poses, color_shift_px, iterations) = problem.run(progress, cancel)?;
     let judgement = judge::judge(&problem, &poses, color_shift_px);
@@ -165,31 +168,25 @@ fn warn(report: &PoseReport, config: &PosesConfig, problem: &BundleAdjustment<'_
             "register the depth to the colour camera again: surface colours and mask edges are affected",
         );
     }
-    let lonely: Vec<String> =
-        problem.frames_without_pairs().iter().take(8).map(ToString::to_string).collect();
+    let list =
+        |frames: Vec<usize>| frames.iter().take(8).map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    let lonely = list(problem.frames_without_pairs());
     if !lonely.is_empty() {
         warnings.add(
             "poses",
             "poses_of_some_frames_kept",
-            format!(
-                "frames {} overlap too little with the others; their poses are kept as given",
-                lonely.join(", ")
-            ),
+            format!("frames {lonely} overlap too little with the others; their poses are kept as given"),
             "",
         );
     }
-    let far: Vec<String> = report
-        .corrections
-        .iter()
-        .filter(|c| c.shift_m > 5.0 * config.prior_position_m || c.turn_rad > 5.0 * config.prior_rotation_rad)
-        .map(|c| c.frame.to_string())
-        .take(8)
-        .collect();
+    let (most_m, most_rad) = (5.0 * config.prior_position_m, 5.0 * config.prior_rotation_rad);
+    let is_far = |c: &&PoseCorrection| c.shift_m > most_m || c.turn_rad > most_rad;
+    let far = list(report.corrections.iter().filter(is_far).map(|c| c.frame).collect());
     if !far.is_empty() {
         warnings.add(
             "poses",
             "poses_far_off",
-            format!("the poses of frames {} were corrected by more than five standard deviations of the given poses", far.join(", ")),
+            format!("the poses of frames {far} were corrected by more than five standard deviations of the given poses"),
             "inspect these frames; raise prior_position_m and prior_rotation_rad in [poses] if the given poses are that inaccurate",
         );
     }

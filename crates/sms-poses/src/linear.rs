@@ -88,9 +88,6 @@ impl System {
     pub(crate) fn solve(&self) -> Option<(Vec<Six>, [f64; 2])> {
         let factors = self.diagonal_factors()?;
         let without = self.conjugate_gradients(&factors, &self.gradient);
-        let dot = |a: &[Six], b: &[Six]| -> f64 {
-            a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum()
-        };
         let columns: [Vec<Six>; 2] =
             std::array::from_fn(|k| self.conjugate_gradients(&factors, &self.by_shift[k]));
         let s: [[f64; 2]; 2] = std::array::from_fn(|k| {
@@ -142,9 +139,6 @@ impl System {
             };
             factors.iter().zip(r).map(solved).collect()
         };
-        let dot = |a: &[Six], b: &[Six]| -> f64 {
-            a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum()
-        };
         let mut x = vec![[0.0; 6]; n];
         let mut r: Vec<Six> = right.to_vec();
         let mut z = precondition(&r);
@@ -175,6 +169,10 @@ impl System {
         }
         x
     }
+}
+
+fn dot(a: &[Six], b: &[Six]) -> f64 {
+    a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum()
 }
 
 fn product(h: &Block, x: &Six) -> Six {

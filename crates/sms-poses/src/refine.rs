@@ -1,11 +1,11 @@
 //! The refinement: all poses at once, from coarse to fine images.
 
 use crate::PosesConfig;
-use crate::align::{align_rigidly, moved_about};
+use crate::align::{add_row, align_rigidly, lever, moved_about};
 use crate::graph::{Graph, choose_pairs};
 use crate::linear::{Block, Six, System};
 use crate::residual::{
-    Brightness, CarriedPoints, Histogram, PairSums, ResidualStats, ShiftSums, Weighing, linearise,
+    Arc, Brightness, Histogram, LinearisationPoint, PairSums, ResidualStats, ShiftSums, Weighing, linearise,
 };
 use crate::views::{Point, PreparedFrame};
 use glamx::{DPose3, DVec3};
@@ -30,24 +30,6 @@ struct RefinementState {
     color_shift: [f64; 2],
     arcs: Vec<Arc>,
     weighing: Weighing,
-}
-
-/// The point at which all residuals are linearised.
-#[derive(Clone, Copy)]
-pub(crate) struct LinearisationPoint<'a> {
-    /// Level of the brightness images.
-    pub(crate) level: usize,
-    pub(crate) poses: &'a [DPose3],
-    /// Shift of the colour against the depth, pixels at loaded size.
-    pub(crate) color_shift: [f64; 2],
-}
-
-/// One direction of a pair: points of `from` are projected into `to`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Arc {
-    pub(crate) from: usize,
-    pub(crate) to: usize,
-    pub(crate) brightness: Brightness,
 }
 
 pub(crate) fn arcs(pairs: &[(usize, usize)]) -> Vec<Arc> {
@@ -92,20 +74,11 @@ impl<'a> BundleAdjustment<'a> {
         at: LinearisationPoint<'_>,
         weighing: &Weighing,
     ) -> Vec<PairSums> {
-        arcs.par_iter()
-            .map(|arc| {
-                let carried = CarriedPoints {
-                    points: &points[arc.from],
-                    into: &self.views[arc.to],
-                    level: at.level,
-                    x_wi: &at.poses[arc.from],
-                    x_wj: &at.poses[arc.to],
-                    brightness: arc.brightness,
-                    color_shift: at.color_shift,
-                };
-                linearise(&carried, self.center_w, weighing, self.config)
-            })
-            .collect()
+        let sums = |arc: &Arc| {
+            let (points, into) = (&points[arc.from], &self.views[arc.to]);
+            linearise(points, into, arc, at, self.center_w, weighing, self.config)
+        };
+        arcs.par_iter().map(sums).collect()
     }
 
     /// Adds the prior at the given pose: rotation and camera position, each with its standard deviation.
@@ -117,17 +90,9 @@ impl<'a> BundleAdjustment<'a> {
         let (wr, wt) = (self.config.prior_rotation_rad.powi(-2), self.config.prior_position_m.powi(-2));
         let (mut h, mut g): (Block, Six) = ([[0.0; 6]; 6], [0.0; 6]);
         for axis in 0..3 {
-            let a = DVec3::AXES[axis];
             h[axis][axis] += wr;
             g[axis] += wr * turned[axis];
-            let lever = arm.cross(a);
-            let j = [lever.x, lever.y, lever.z, a.x, a.y, a.z];
-            for r in 0..6 {
-                g[r] += wt * j[r] * shifted[axis];
-                for c in 0..6 {
-                    h[r][c] += wt * j[r] * j[c];
-                }
-            }
+            add_row(&mut h, &mut g, &lever(arm, DVec3::AXES[axis]), shifted[axis], wt);
         }
         system.add_own(frame, &h, &g);
     }

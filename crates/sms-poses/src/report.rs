@@ -16,10 +16,11 @@ pub struct PoseCorrection {
 }
 
 /// The decision on the poses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PoseVerdict {
     /// Refinement was not requested.
+    #[default]
     Off,
     /// The refined poses are used.
     Refined,
@@ -30,7 +31,7 @@ pub enum PoseVerdict {
 }
 
 /// Report of a refinement. Corrections and judgement are present even if the given poses were kept.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct PoseReport {
     /// The decision on the poses.
     pub verdict: PoseVerdict,
@@ -47,17 +48,6 @@ pub struct PoseReport {
 }
 
 impl PoseReport {
-    pub(crate) fn without_refinement(verdict: PoseVerdict) -> Self {
-        Self {
-            verdict,
-            pairs: 0,
-            iterations: 0,
-            color_shift_px: [0.0; 2],
-            corrections: Vec::new(),
-            judgement: Judgement::default(),
-        }
-    }
-
     /// Returns the median over frames of the corrections' lengths (metres) and angles (radians).
     pub fn median_correction(&self) -> Option<(f64, f64)> {
         let median = |mut values: Vec<f64>| {

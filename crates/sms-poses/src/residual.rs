@@ -9,10 +9,11 @@
 //! a rotation ω and a shift v of frame i about the centre c is (q × a, a). The derivative for frame j is its negative.
 
 use crate::PosesConfig;
+use crate::align::lever;
 use crate::linear::{Block, Six};
 use crate::luma::sample;
 use crate::views::{Point, PreparedFrame, sigma_along_normal};
-use glamx::{DMat3, DPose3, DVec3};
+use glamx::{DMat3, DPose3, DVec3, Vec3};
 use sms_core::Intrinsics;
 
 /// A residual and its gradient with respect to the mapped point.
@@ -25,9 +26,7 @@ pub(crate) struct LinearResidual {
 impl LinearResidual {
     /// Derivative with respect to (rotation, shift) of the mapped frame about `center`.
     pub(crate) fn jacobian(&self, p: DVec3, center: DVec3) -> Six {
-        let turn = (p - center).cross(self.by_point);
-        let a = self.by_point;
-        [turn.x, turn.y, turn.z, a.x, a.y, a.z]
+        lever(p - center, self.by_point)
     }
 }
 
@@ -201,6 +200,7 @@ pub(crate) struct ShiftSums {
 }
 
 /// Sums in the axes of camera j, upper triangle of H.
+#[derive(Default)]
 struct Sums {
     h: [f64; 21],
     g: Six,
@@ -236,33 +236,41 @@ impl Sums {
     }
 }
 
-/// The points of frame i and the frame j that they are mapped into.
-pub(crate) struct CarriedPoints<'a> {
-    pub(crate) points: &'a [Point],
-    pub(crate) into: &'a PreparedFrame,
+/// The point at which all residuals are linearised.
+#[derive(Clone, Copy)]
+pub(crate) struct LinearisationPoint<'a> {
     /// Level of the brightness images.
     pub(crate) level: usize,
-    pub(crate) x_wi: &'a DPose3,
-    pub(crate) x_wj: &'a DPose3,
-    pub(crate) brightness: Brightness,
+    pub(crate) poses: &'a [DPose3],
     /// Shift of the colour against the depth, pixels at loaded size.
     pub(crate) color_shift: [f64; 2],
 }
 
-/// Maps the points of frame i into frame j and sums up their linearised residuals.
+/// One direction of a pair: points of `from` are projected into `to`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Arc {
+    pub(crate) from: usize,
+    pub(crate) to: usize,
+    pub(crate) brightness: Brightness,
+}
+
+/// Maps points of frame i (`arc.from`) into frame j (`arc.to`, which is `view_j`) and sums up their linearised residuals.
 pub(crate) fn linearise(
-    carried: &CarriedPoints<'_>,
+    points: &[Point],
+    view_j: &PreparedFrame,
+    arc: &Arc,
+    at: LinearisationPoint<'_>,
     center_w: DVec3,
     weighing: &Weighing,
     config: &PosesConfig,
 ) -> PairSums {
-    let CarriedPoints { points, into: view_j, level, x_wi, x_wj, brightness, color_shift } = *carried;
+    let LinearisationPoint { level, poses, color_shift } = at;
+    let (x_wi, x_wj, brightness) = (&poses[arc.from], &poses[arc.to], arc.brightness);
     let x_ji = x_wj.inverse() * *x_wi;
     let center = x_wj.inverse_transform_point(center_w);
     let turn = DMat3::from_quat(x_ji.rotation);
     let k: &Intrinsics = &view_j.intrinsics;
-    let mut sums =
-        Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; EXTRA], bh: [[0.0; EXTRA]; EXTRA], bg: [0.0; EXTRA] };
+    let mut sums = Sums::default();
     let mut seen = ResidualStats::default();
     // Normals that differ by more than 60° belong to different surfaces.
     const LEAST_COSINE: f64 = 0.5;
@@ -276,7 +284,7 @@ pub(crate) fn linearise(
         let Some((x, y, surface)) = view_j.surface_at(u, v) else { continue };
         let z = f64::from(surface.z);
         let q = DVec3::new((x as f64 + 0.5 - k.cx) / k.fx * z, (y as f64 + 0.5 - k.cy) / k.fy * z, z);
-        let n = DVec3::new(f64::from(surface.n[0]), f64::from(surface.n[1]), f64::from(surface.n[2]));
+        let n = Vec3::from(surface.n).as_dvec3();
         let has_plane = n != DVec3::ZERO;
         let off = if has_plane { n.dot(p - q) } else { p.z - q.z };
         if off.abs() > weighing.gate_m {
@@ -311,9 +319,8 @@ pub(crate) fn linearise(
             }
         }
     }
-    for (k, (value, sigma)) in
-        [brightness.gain, brightness.offset].into_iter().zip(Brightness::PRIOR).enumerate()
-    {
+    let values = [brightness.gain, brightness.offset];
+    for (k, (value, sigma)) in values.into_iter().zip(Brightness::PRIOR).enumerate() {
         sums.bh[k][k] += sigma.powi(-2);
         sums.bg[k] += value * sigma.powi(-2);
     }
@@ -508,7 +515,7 @@ mod tests {
             turn in prop::array::uniform3(-2.0..2.0f64), rows in prop::collection::vec(prop::array::uniform6(-1.0..1.0f64), 3)
         ) {
             let r_wj = DMat3::from_quat(glamx::DQuat::from_scaled_axis(DVec3::from_array(turn)));
-            let mut sums = Sums { h: [0.0; 21], g: [0.0; 6], b: [[0.0; 6]; EXTRA], bh: [[0.0; EXTRA]; EXTRA], bg: [0.0; EXTRA] };
+            let mut sums = Sums::default();
             let (mut h, mut g) = ([[0.0; 6]; 6], [0.0; 6]);
             for (k, row) in rows.iter().enumerate() {
                 let (r, w) = (0.3 + k as f64, 1.0 / (1.0 + k as f64));
@@ -534,13 +541,7 @@ mod tests {
     #[test]
     fn brightness_is_eliminated_exactly() {
         // Residuals r + J δ + C (gain, offset, shift) of twelve measurements.
-        let mut sums = Sums {
-            h: [0.0; 21],
-            g: [0.0; 6],
-            b: [[0.0; 6]; EXTRA],
-            bh: [[0.0; EXTRA]; EXTRA],
-            bg: [0.0; EXTRA],
-        };
+        let mut sums = Sums::default();
         let pseudo = |k: usize, a: usize| ((k * k * 7 + a * a * 3 + k * a * 5) as f64).sin();
         let rows: [(Six, f64, [f64; EXTRA]); 14] = std::array::from_fn(|k| {
             let extra = [pseudo(k, 9), -1.0, pseudo(k, 11), pseudo(k, 13)];

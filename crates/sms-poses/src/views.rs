@@ -2,7 +2,7 @@
 
 use crate::PosesConfig;
 use crate::luma::{Luma, half, luma, sample};
-use glamx::DVec3;
+use glamx::{DVec3, Vec3};
 use rayon::prelude::*;
 use sms_core::Intrinsics;
 use sms_frames::{DepthNoise, Frame, Sequence};
@@ -103,7 +103,7 @@ impl PreparedFrame {
                 }
                 let (u, v, z) = (x as f64 + 0.5, y as f64 + 0.5, f64::from(s.z));
                 let p_c = DVec3::new((u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z);
-                let n_c = DVec3::new(f64::from(s.n[0]), f64::from(s.n[1]), f64::from(s.n[2]));
+                let n_c = Vec3::from(s.n).as_dvec3();
                 let sampled =
                     sample(&self.luma[level], (u + color_shift[0]) / scale, (v + color_shift[1]) / scale);
                 points.push(Point {

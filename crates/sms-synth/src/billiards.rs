@@ -55,7 +55,7 @@ const CUE_X: [f64; 2] = [0.30, 0.40];
 const CUE_Y: [f64; 2] = [-0.08, 0.08];
 /// Room for the gripper's fingers behind and beside the cue ball: the sweep is 0.1 m on either side of the contact.
 const SWEEP_M: f64 = 0.16;
-const SWEEP_HALF_WIDTH_M: f64 = 0.08;
+pub(crate) const SWEEP_HALF_WIDTH_M: f64 = 0.08;
 /// All objects lie within this distance of the workspace's middle line, so that all views show most of them.
 pub(crate) const WORKSPACE_HALF_WIDTH_M: f64 = 0.40;
 /// All objects lie within the wedge of the first, frontal view: the slope of its sides and the distance of its apex behind
@@ -182,7 +182,6 @@ pub(crate) fn find_place(
     balls: &BallPositions,
     others: &[(DVec2, f64)],
 ) -> Option<DVec2> {
-    let behind = balls.cue - (balls.target - balls.cue).normalize() * SWEEP_M;
     for _ in 0..3000 {
         let p = DVec2::new(uniform(rng, [0.2, settings.reach_m]), uniform(rng, [-0.4, 0.4]));
         let half_width = WORKSPACE_HALF_WIDTH_M.min(FRONTAL_SLOPE * (p.x + FRONTAL_DISTANCE_M));
@@ -191,7 +190,7 @@ pub(crate) fn find_place(
             && p.y.abs() + radius <= half_width
             && distance_to_segment(p, balls.cue, balls.target) >= radius + settings.corridor_half_width_m
             && distance_to_segment(p, balls.target, balls.goal) >= radius + settings.corridor_half_width_m
-            && distance_to_segment(p, behind, balls.cue) >= radius + SWEEP_HALF_WIDTH_M
+            && distance_to_sweep(p, balls.cue, balls.target) >= radius + SWEEP_HALF_WIDTH_M
             && others.iter().all(|(q, r)| p.distance(*q) >= radius + r + settings.gap_m);
         if free {
             return Some(p);
@@ -220,6 +219,11 @@ pub(crate) fn footprint(object: &TruthObject) -> (DVec2, f64) {
     let radius =
         object.mesh.vertices.iter().map(|v| (com + v.truncate()).distance(center)).fold(0.0, f64::max);
     (center, radius)
+}
+
+/// Returns the distance from the finger's path behind a cue ball that is played towards `next`.
+pub(crate) fn distance_to_sweep(p: DVec2, cue: DVec2, next: DVec2) -> f64 {
+    distance_to_segment(p, cue - (next - cue).normalize() * SWEEP_M, cue)
 }
 
 pub(crate) fn distance_to_segment(p: DVec2, a: DVec2, b: DVec2) -> f64 {

@@ -170,25 +170,18 @@ impl Bvh {
                 }
                 continue;
             }
-            let (left, right) =
-                (self.nodes[first].enter(ray, limit), self.nodes[first + 1].enter(ray, limit));
-            match (left, right) {
-                (Some(l), Some(r)) => {
-                    let (a, b) =
-                        if l <= r { ((first, l), (first + 1, r)) } else { ((first + 1, r), (first, l)) };
-                    stack[top] = b;
-                    stack[top + 1] = a;
-                    top += 2;
-                }
-                (Some(l), None) => {
-                    stack[top] = (first, l);
+            let mut children = [first, first + 1].map(|child| (child, self.nodes[child].enter(ray, limit)));
+            // The nearer child is popped first.
+            if let (Some(left), Some(right)) = (children[0].1, children[1].1)
+                && left <= right
+            {
+                children.swap(0, 1);
+            }
+            for (child, near) in children {
+                if let Some(near) = near {
+                    stack[top] = (child, near);
                     top += 1;
                 }
-                (None, Some(r)) => {
-                    stack[top] = (first + 1, r);
-                    top += 1;
-                }
-                (None, None) => {}
             }
         }
         best

@@ -4,8 +4,8 @@
 
 use crate::assets::{AssetKind, make_asset, make_pool_ball};
 use crate::billiards::{
-    FRONTAL_DISTANCE_M, FRONTAL_SLOPE, WORKSPACE_HALF_WIDTH_M, billiards_truth, distance_to_segment,
-    footprint, footprint_radius,
+    FRONTAL_DISTANCE_M, FRONTAL_SLOPE, SWEEP_HALF_WIDTH_M, WORKSPACE_HALF_WIDTH_M, billiards_truth,
+    distance_to_segment, distance_to_sweep, footprint, footprint_radius,
 };
 use crate::floor::draw_floor;
 use crate::random::{pick, uniform};
@@ -80,9 +80,6 @@ const DRAWS: usize = 4000;
 const PLACES: usize = 600;
 /// Half width of the intended paths of balls.
 const WAY_M: f64 = BALL_RADIUS_M + 0.012;
-/// Room for the gripper's fingers behind and beside the cue ball.
-const SWEEP_M: f64 = 0.16;
-const SWEEP_HALF_WIDTH_M: f64 = 0.08;
 /// Smallest gap between two objects, metres.
 const GAP_M: f64 = 0.02;
 
@@ -141,8 +138,6 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<PlannedShot> {
     let heading = uniform(rng, [-0.6, 0.6]);
     let side = if rng.random::<bool>() { 1.0 } else { -1.0 };
     let along = |from: DVec2, angle: f64, by: f64| from + DVec2::from_angle(angle) * by;
-    let heavy = |rng: &mut StageRng| pick(rng, &HEAVY);
-    let screen = |rng: &mut StageRng| pick(rng, &SCREENS);
     // A ball that comes along `from` and leaves along `to` turns at a surface that faces their difference.
     let facing = |from: f64, to: f64| (DVec2::from_angle(to) - DVec2::from_angle(from)).normalize();
     let target = match layout {
@@ -150,7 +145,20 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<PlannedShot> {
         Layout::TwoWays => along(cue, heading, uniform(rng, [0.12, 0.20])),
         _ => along(cue, heading, uniform(rng, [0.16, 0.30])),
     };
-    let shot = match layout {
+    // The middle of a screen between two points, and the ball's centre where it rebounds beside the screen.
+    let detour = |rng: &mut StageRng, from: DVec2, to: DVec2, shares: [f64; 2], widths: [f64; 2]| {
+        let between = from.lerp(to, uniform(rng, shares));
+        let across = (to - from).normalize().perp();
+        (between, 0.5 * (from + to) + side * across * uniform(rng, widths))
+    };
+    let detour_props = |rng: &mut StageRng, from: DVec2, to: DVec2, between: DVec2, aside: DVec2| {
+        let turn = facing((aside - from).to_angle(), (to - aside).to_angle());
+        vec![
+            Prop { kind: pick(rng, &SCREENS), at: between, facing: None },
+            Prop { kind: pick(rng, &HEAVY), at: aside, facing: Some(turn) },
+        ]
+    };
+    let (goal, ways, props) = match layout {
         Layout::Empty | Layout::Direct => {
             let cut = side * uniform(rng, [0.15, 0.95]);
             let goal = along(target, heading + cut, uniform(rng, [0.20, 0.38]));
@@ -160,7 +168,7 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<PlannedShot> {
                 let beyond = along(target, heading - 0.4 * side, uniform(rng, [0.16, 0.24]));
                 props.push(Prop { kind: AssetKind::CardboardBox, at: beyond, facing: None });
             }
-            PlannedShot { cue, target, goal, ways: vec![(cue, target), (target, goal)], props }
+            (goal, vec![(cue, target), (target, goal)], props)
         }
         Layout::Backstop | Layout::TwoWays => {
             let first = heading + side * uniform(rng, [-0.3, 0.7]);
@@ -170,49 +178,26 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<PlannedShot> {
             let last = heading + side * back;
             let goal =
                 along(turn, last, if far { uniform(rng, [0.26, 0.38]) } else { uniform(rng, [0.14, 0.30]) });
-            let prop = Prop { kind: heavy(rng), at: turn, facing: Some(facing(first, last)) };
+            let prop = Prop { kind: pick(rng, &HEAVY), at: turn, facing: Some(facing(first, last)) };
             let mut ways = vec![(cue, target), (target, turn), (turn, goal)];
             if far {
                 ways.push((target, goal));
             }
-            PlannedShot { cue, target, goal, ways, props: vec![prop] }
+            (goal, ways, vec![prop])
         }
         Layout::Screened => {
             let cut = side * uniform(rng, [0.0, 0.5]);
             let goal = along(target, heading + cut, uniform(rng, [0.26, 0.38]));
-            let between = target.lerp(goal, uniform(rng, [0.45, 0.6]));
-            let to_goal = (goal - target).normalize();
-            let aside = 0.5 * (target + goal) + side * to_goal.perp() * uniform(rng, [0.10, 0.17]);
-            let (first, last) = ((aside - target).to_angle(), (goal - aside).to_angle());
-            let props = vec![
-                Prop { kind: screen(rng), at: between, facing: None },
-                Prop { kind: heavy(rng), at: aside, facing: Some(facing(first, last)) },
-            ];
-            PlannedShot {
-                cue,
-                target,
-                goal,
-                ways: vec![(cue, target), (target, aside), (aside, goal)],
-                props,
-            }
+            let (between, aside) = detour(rng, target, goal, [0.45, 0.6], [0.10, 0.17]);
+            let props = detour_props(rng, target, goal, between, aside);
+            (goal, vec![(cue, target), (target, aside), (aside, goal)], props)
         }
         Layout::CueBank => {
-            let between = cue.lerp(target, uniform(rng, [0.48, 0.60]));
-            let to_target = (target - cue).normalize();
-            let aside = 0.5 * (cue + target) + side * to_target.perp() * uniform(rng, [0.11, 0.18]);
-            let (first, last) = ((aside - cue).to_angle(), (target - aside).to_angle());
+            let (between, aside) = detour(rng, cue, target, [0.48, 0.60], [0.11, 0.18]);
+            let last = (target - aside).to_angle();
             let goal = along(target, last + uniform(rng, [-0.6, 0.6]), uniform(rng, [0.12, 0.24]));
-            let props = vec![
-                Prop { kind: screen(rng), at: between, facing: None },
-                Prop { kind: heavy(rng), at: aside, facing: Some(facing(first, last)) },
-            ];
-            PlannedShot {
-                cue,
-                target,
-                goal,
-                ways: vec![(cue, aside), (aside, target), (target, goal)],
-                props,
-            }
+            let props = detour_props(rng, cue, target, between, aside);
+            (goal, vec![(cue, aside), (aside, target), (target, goal)], props)
         }
         Layout::Chain => {
             let first = heading + side * uniform(rng, [-0.2, 0.5]);
@@ -225,22 +210,20 @@ fn draw(layout: Layout, rng: &mut StageRng) -> Option<PlannedShot> {
             let square = DVec2::from_angle(last).perp();
             let line = if square.dot(DVec2::from_angle(second)) > 0.0 { square } else { -square };
             let props = vec![
-                Prop { kind: heavy(rng), at: turn, facing: Some(facing(first, second)) },
+                Prop { kind: pick(rng, &HEAVY), at: turn, facing: Some(facing(first, second)) },
                 Prop { kind: AssetKind::PoolBall, at: at_ball, facing: Some(-line) },
             ];
-            let ways = vec![(cue, target), (target, turn), (turn, at_ball), (at_ball, goal)];
-            PlannedShot { cue, target, goal, ways, props }
+            (goal, vec![(cue, target), (target, turn), (turn, at_ball), (at_ball, goal)], props)
         }
     };
     let reach = BilliardsSettings::default().reach_m;
-    let fits = [shot.cue, shot.target, shot.goal]
+    let fits = [cue, target, goal]
         .iter()
-        .chain(shot.ways.iter().map(|(_, b)| b))
+        .chain(ways.iter().map(|(_, b)| b))
         .all(|p| p.x > 0.20 && p.length() <= reach && p.y.abs() < 0.34 && in_wedge(*p, BALL_RADIUS_M));
     // The finger sweeps from behind the cue ball.
-    let clear = |p: &DVec2| p.distance(shot.cue) > 0.12;
-    (fits && clear(&shot.target) && clear(&shot.goal) && shot.goal.distance(shot.target) > 0.12)
-        .then_some(shot)
+    let clear = [(target, cue), (goal, cue), (goal, target)].iter().all(|(a, b)| a.distance(*b) > 0.12);
+    (fits && clear).then_some(PlannedShot { cue, target, goal, ways, props })
 }
 
 /// Returns whether a disc lies in the wedge of the first view.
@@ -292,9 +275,8 @@ fn apart(a: &TruthObject, b: &TruthObject) -> f64 {
 /// Returns whether a prop blocks a path that it is not part of, or the finger's path.
 fn crosses(object: &TruthObject, shot: &PlannedShot, prop: &Prop) -> bool {
     let (center, radius) = footprint(object);
-    let behind = shot.cue - (shot.ways[0].1 - shot.cue).normalize() * SWEEP_M;
     let turns = |p: DVec2| prop.facing.is_some() && p.distance(prop.at) < 1e-9;
-    distance_to_segment(center, behind, shot.cue) < radius + SWEEP_HALF_WIDTH_M
+    distance_to_sweep(center, shot.cue, shot.ways[0].1) < radius + SWEEP_HALF_WIDTH_M
         || shot
             .ways
             .iter()
@@ -306,7 +288,6 @@ fn crosses(object: &TruthObject, shot: &PlannedShot, prop: &Prop) -> bool {
 /// Places one more obstacle off all paths.
 fn scatter(kind: AssetKind, shot: &PlannedShot, placed: &[TruthObject], seed: Seed) -> Option<TruthObject> {
     let yaw = uniform(&mut seed.derive("yaw").rng(), [0.0, std::f64::consts::TAU]);
-    let behind = shot.cue - (shot.ways[0].1 - shot.cue).normalize() * SWEEP_M;
     let mut object = make_asset(kind, DVec2::ZERO, yaw, 1.0, &mut seed.derive("asset").rng());
     let radius = footprint_radius(&object);
     let others: Vec<(DVec2, f64)> = placed.iter().map(footprint).collect();
@@ -319,7 +300,7 @@ fn scatter(kind: AssetKind, shot: &PlannedShot, placed: &[TruthObject], seed: Se
             && in_wedge(p, radius)
             && shot.ways.iter().all(|(a, b)| distance_to_segment(p, *a, *b) >= radius + WAY_M)
             && p.distance(shot.goal) >= radius + WAY_M
-            && distance_to_segment(p, behind, shot.cue) >= radius + SWEEP_HALF_WIDTH_M
+            && distance_to_sweep(p, shot.cue, shot.ways[0].1) >= radius + SWEEP_HALF_WIDTH_M
             && others.iter().all(|(q, r)| p.distance(*q) >= radius + r + GAP_M);
         if free {
             object.x_wb.translation += DVec3::new(p.x, p.y, 0.0);

@@ -125,30 +125,21 @@ impl DepthCamera {
             for (x, pixel) in row.iter_mut().enumerate() {
                 let at = y * width + x;
                 let mut z = f64::from(depth.data[at]);
-                if z <= 0.0 || z < near || z > far {
-                    continue;
-                }
-                if shadowed.get(x) == Some(&true) {
+                if z <= 0.0 || z < near || z > far || shadowed.get(x) == Some(&true) {
                     continue;
                 }
                 let cell = ((x as f64 / patch) as i32, (y as f64 / patch) as i32);
                 if noise.uniform(cell.0, cell.1, 11) < self.hole_share {
                     continue;
                 }
-                let cos = f64::from(view.cos_incidence.data[at]);
-                if self.grazing_cos > 0.0 {
-                    let seen =
-                        smoothstep((0.25 * self.grazing_cos) as f32, self.grazing_cos as f32, cos as f32);
-                    if noise.uniform(x as i32, y as i32, 12) >= f64::from(seen) {
-                        continue;
-                    }
-                }
-                let echo = view.echo.data[at];
-                if self.dark_echo > 0.0 {
-                    let seen = smoothstep((0.25 * self.dark_echo) as f32, self.dark_echo as f32, echo);
-                    if noise.uniform(x as i32, y as i32, 16) >= f64::from(seen) {
-                        continue;
-                    }
+                // Measurements are lost below a limit, all of them below a quarter of it.
+                let lost = |value: f32, limit: f64, channel: i32| {
+                    let seen = smoothstep((0.25 * limit) as f32, limit as f32, value);
+                    limit > 0.0 && noise.uniform(x as i32, y as i32, channel) >= f64::from(seen)
+                };
+                let (cos, echo) = (view.cos_incidence.data[at], view.echo.data[at]);
+                if lost(cos, self.grazing_cos, 12) || lost(echo, self.dark_echo, 16) {
+                    continue;
                 }
                 if self.glare_echo > 0.0 && f64::from(echo) > self.glare_echo {
                     continue;
@@ -197,13 +188,11 @@ impl DepthCamera {
                 }
             }
         }
-        let shadowed: Vec<bool> = (0..row.len())
-            .map(|x| {
-                let c = column(x);
-                c >= 0.0 && nearest.get(c as usize).is_some_and(|&d| d > disparities[x] + JUMP_PX)
-            })
-            .collect();
-        shadowed
+        let is_shadowed = |x: usize| {
+            let c = column(x);
+            c >= 0.0 && nearest.get(c as usize).is_some_and(|&d| d > disparities[x] + JUMP_PX)
+        };
+        (0..row.len()).map(is_shadowed).collect()
     }
 }
 

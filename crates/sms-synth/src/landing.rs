@@ -3,8 +3,7 @@
 use crate::assets::{Household, make_household};
 use crate::floor::draw_floor;
 use crate::random::uniform;
-use crate::scene::{LandingTruth, TruthObject, TruthScene};
-use crate::stacked::{bounds_w, on_top};
+use crate::scene::{LandingTruth, TruthObject, TruthScene, bounds_w, on_top};
 use crate::tipping::{convex_hull, support};
 use glamx::DVec2;
 use serde::{Deserialize, Serialize};
@@ -78,7 +77,7 @@ impl LandingStructure {
     /// Returns the fixed scene of the benchmark: usual sizes, toppled by [`LandingStructure::fixed_end_load_n`] at the end of
     /// the overhang. Frozen: a test holds the hash of all four.
     pub fn fixed(self) -> TruthScene {
-        self.fixed_of(&mut household)
+        self.fixed_of(&mut make_household)
     }
 
     fn fixed_of(self, make: &mut Make<'_>) -> TruthScene {
@@ -92,7 +91,7 @@ impl LandingStructure {
 /// Generates a structure with sizes, colours, materials, turns and overhang from the seed; its base stands at the world's
 /// origin. The overhang is such that 2 to 3.5 N at its end topple the structure. Frozen: the same seed gives the same scene.
 pub fn generate_landing(structure: LandingStructure, seed: Seed) -> TruthScene {
-    build(structure, seed, SPREAD, END_LOADS_N, &mut household)
+    build(structure, seed, SPREAD, END_LOADS_N, &mut make_household)
 }
 
 /// Returns the structure of a landing scene's number: 1 to 4 are the fixed ones, others use each structure in turn.
@@ -107,7 +106,7 @@ fn fixed_structure(number: u64) -> Option<LandingStructure> {
 
 /// Returns the landing scene of a number: 1 to 4 are the fixed ones, others are drawn with the number as their seed.
 pub fn landing_scene(number: u64) -> TruthScene {
-    landing_scene_of(number, &mut household)
+    landing_scene_of(number, &mut make_household)
 }
 
 /// As [`landing_scene`], with another source of objects.
@@ -121,11 +120,6 @@ pub(crate) fn landing_scene_of(number: u64, make: &mut Make<'_>) -> TruthScene {
 /// Makes an object that stands at the origin. Arguments: its kind, the relative variation of its sizes, the yaw of its longer
 /// side from x (radians), and its seed.
 pub(crate) type Make<'a> = dyn FnMut(Household, f64, f64, Seed) -> TruthObject + 'a;
-
-/// Makes an object of the catalogue.
-pub(crate) fn household(kind: Household, spread: f64, yaw: f64, seed: Seed) -> TruthObject {
-    make_household(kind, spread, DVec2::ZERO, yaw, &mut seed.rng())
-}
 
 fn build(
     structure: LandingStructure,

@@ -1,7 +1,7 @@
 //! Landing structures with scanned models in place of generated objects.
 
-use crate::assets::Household;
-use crate::landing::{household, landing_scene_of};
+use crate::assets::{Household, make_household};
+use crate::landing::landing_scene_of;
 use crate::model::{ModelScene, ScannedModel};
 use crate::scanned::{NamedModel, Substance, made_of};
 use crate::scene::TruthObject;
@@ -39,7 +39,7 @@ pub fn landing_scene_among(number: u64, models: &[NamedModel]) -> Result<ModelSc
         let is_called = |m: &NamedModel, word: &str| format!("_{}_", m.name).contains(&format!("_{word}_"));
         let model = |word: &str| models.iter().filter(|m| is_called(m, word)).min_by_key(|m| &m.name);
         match place.and_then(|&(_, word, class, wall_m)| Some((model(word)?, class, wall_m))) {
-            None => household(kind, spread, yaw, seed),
+            None => make_household(kind, spread, yaw, seed),
             Some((model, class, wall_m)) => {
                 let (object, skin) = stand(model, class, wall_m, yaw, seed);
                 used.push(&model.name);

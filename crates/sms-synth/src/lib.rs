@@ -2,13 +2,13 @@
 //!
 //! - [`generate_billiards`]: a seeded scene of two pool balls, a goal and household obstacles, each with its exact
 //!   surface, convex pieces, true material and mass properties.
-//! - [`generate_stacked`]: objects that stand on each other or touch, for masks.
 //! - [`LandingStructure`] and [`generate_landing`]: structures for a quadrotor to land on, with the loads that topple them
 //!   ([`TruthScene::tipping_load_n`]); [`HelicalPath`] records them. [`landing_scene_among`] builds them with scanned models.
 //! - [`CameraPath`] and [`render`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] simulates
 //!   the errors of a real stereo camera.
-//! - [`read_model`], [`model_scene`] and [`orbit_poses`]: a scanned, textured model on a floor, and cameras around it;
-//!   [`record_views`] records it. [`generate_billiards_among`] places such models among a billiards scene's obstacles.
+//! - [`read_model`] and [`standing`]: a scanned, textured model on a floor; [`record_views`] records it from any camera poses.
+//!   [`generate_billiards_among`] places such models among a billiards scene's obstacles.
+//! - [`make_asset`], [`make_pool_ball`], [`AssetBlueprint`], [`draw_floor`] and [`TruthScene::of_objects`]: parts of other scenes.
 //! - [`write_recording`]: the scan on disk, in nerfstudio's layout, with the truth beside it in `truth/`. The planner's
 //!   stages read the recording only; `execute`, `evaluate` and benchmarks call [`read_truth`].
 //!
@@ -49,24 +49,27 @@ mod scene;
 mod shading;
 mod shapes;
 mod skin;
-mod stacked;
 mod texture;
 mod tipping;
 
-pub use assets::{AssetKind, BALL_RADIUS_M};
+pub use assets::{AssetBlueprint, AssetKind, BALL_RADIUS_M, HollowKind, make_asset, make_pool_ball};
 pub use billiards::{BilliardsSettings, generate_billiards};
 pub use challenge::{Layout, generate_challenge};
 pub use depth_camera::{DepthCamera, DepthView};
 pub use eighteen::{FIRST_DRAWN, FIXED_SCENES, FixedScene, billiards_scene};
+pub use floor::draw_floor;
 pub use landing::{LandingStructure, generate_landing, landing_scene, landing_structure};
 pub use landing_models::landing_scene_among;
-pub use materials::redraw_materials;
-pub use model::{ModelScene, ScannedModel, model_scene, orbit_poses, read_model};
-pub use path::{CameraPath, HelicalPath, paper_billiards_path};
+pub use materials::draw_material_named;
+pub use model::{ModelScene, ScannedModel, read_model, standing};
+pub use path::{CameraPath, HelicalPath};
 pub use recording::{RecordingSettings, RecordingSummary, SceneViews, record_views, write_recording};
 pub use render::{CameraModel, RenderedFrame, Renderer, render};
 pub use scanned::{NamedModel, generate_billiards_among, read_models};
-pub use scene::{Hollow, LandingTruth, SupportLevel, TruthFloor, TruthObject, TruthScene, read_truth};
+pub use scene::{
+    Hollow, LandingTruth, SupportLevel, TruthFloor, TruthObject, TruthScene, bounds_w, name_uniquely, on_top,
+    read_truth,
+};
+pub use shapes::{PartedSolid, cuboid_union};
 pub use skin::Skin;
-pub use stacked::{Structure, bounds_w, generate_stacked};
 pub use texture::{Pattern, Spot, Texture};

@@ -1,9 +1,8 @@
 //! True materials: drawn per object around the published ranges of its class (`true_materials.toml`).
 
-use crate::scene::{Hollow, TruthScene};
 use rand::RngExt;
 use serde::Deserialize;
-use sms_core::{Interval, MassProperties, Material, Property, PropertySource, Seed, StageRng};
+use sms_core::{Interval, Material, Property, PropertySource, StageRng};
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
@@ -36,6 +35,11 @@ pub(crate) fn draw_material(class: &str, rng: &mut StageRng) -> Material {
     draw_from(TABLE.get(class).unwrap_or_else(|| panic!("no true material class `{class}`")), rng)
 }
 
+/// Draws a true material of the class with this [`Material::class`]; `None` if the table has no such class.
+pub fn draw_material_named(class: &str, rng: &mut StageRng) -> Option<Material> {
+    TABLE.values().find(|r| r.name == class).map(|r| draw_from(r, rng))
+}
+
 fn draw_from(ranges: &ClassRanges, rng: &mut StageRng) -> Material {
     let mut draw = |[low, high]: [f64; 2]| truth(low + (high - low) * rng.random::<f64>());
     Material {
@@ -53,36 +57,6 @@ fn draw_from(ranges: &ClassRanges, rng: &mut StageRng) -> Material {
 /// Replaces the density by that over the closed outer volume, kg/m³.
 pub(crate) fn with_effective_density(material: Material, density: f64) -> Material {
     Material { density: truth(density), ..material }
-}
-
-/// Draws the materials and masses of all objects and the floor again from the ranges of their classes: another world that
-/// correct classes do not distinguish from this one. Objects without a class of the table keep their material.
-pub fn redraw_materials(truth: &TruthScene, seed: Seed) -> TruthScene {
-    let seed = seed.derive("redrawn materials");
-    let class = |name: &str| TABLE.values().find(|r| r.name == name);
-    let mut redrawn = truth.clone();
-    for object in &mut redrawn.objects {
-        let Some(ranges) = class(&object.material.class) else { continue };
-        let material = draw_from(ranges, &mut seed.derive(&object.name).rng());
-        let effective = object.material.density.value.best;
-        let substance = match object.hollow {
-            Hollow::Shell { wall_density, .. } => wall_density,
-            Hollow::Solid | Hollow::Vessel { .. } => effective,
-        };
-        let ratio = material.density.value.best / substance;
-        let (mass, com, inertia) = (object.mass.mass(), object.mass.com(), object.mass.inertia());
-        // A positive multiple of a possible inertia is possible.
-        let Ok(mass) = MassProperties::new(mass * ratio, com, inertia * ratio) else { continue };
-        if let Hollow::Shell { wall_density, .. } = &mut object.hollow {
-            *wall_density *= ratio;
-        }
-        object.mass = mass;
-        object.material = with_effective_density(material, effective * ratio);
-    }
-    if let Some(ranges) = class(&redrawn.floor.material.class) {
-        redrawn.floor.material = draw_from(ranges, &mut seed.derive("(floor)").rng());
-    }
-    redrawn
 }
 
 fn truth(value: f64) -> Property {
@@ -113,31 +87,12 @@ mod tests {
     }
 
     #[test]
-    fn redrawn_materials_stay_in_their_class_and_masses_go_with_them() {
-        let names: Vec<&str> = TABLE.values().map(|r| r.name.as_str()).collect();
-        let distinct: std::collections::BTreeSet<&str> = names.iter().copied().collect();
-        assert_eq!(names.len(), distinct.len(), "classes are told apart by name");
-        let scene = crate::generate_billiards(Seed(3), &crate::BilliardsSettings::default());
-        let other = redraw_materials(&scene, Seed(1));
-        assert_eq!(other, redraw_materials(&scene, Seed(1)));
-        assert_ne!(scene.floor.material, other.floor.material);
-        for (a, b) in scene.objects.iter().zip(&other.objects) {
-            assert_ne!(a.material.friction, b.material.friction);
-            let ranges = TABLE.values().find(|r| r.name == b.material.class).unwrap();
-            let friction = b.material.friction.value.best;
-            assert!((ranges.friction[0]..=ranges.friction[1]).contains(&friction));
-            let substance = match b.hollow {
-                Hollow::Shell { wall_density, .. } => wall_density,
-                _ => b.material.density.value.best,
-            };
-            let [low, high] = ranges.density_kg_m3;
-            assert!(substance > low - 1e-6 && substance < high + 1e-6, "{}: {substance}", b.name);
-            let (mass, density) = (
-                b.mass.mass() / a.mass.mass(),
-                b.material.density.value.best / a.material.density.value.best,
-            );
-            assert!((mass / density - 1.0).abs() < 1e-12);
-        }
+    fn classes_are_told_apart_by_name() {
+        let distinct: std::collections::BTreeSet<&str> = TABLE.values().map(|r| r.name.as_str()).collect();
+        assert_eq!(TABLE.len(), distinct.len());
+        let named = |name: &str| draw_material_named(name, &mut Seed(3).rng());
+        assert_eq!(named("full steel can").unwrap(), draw_material("full_can", &mut Seed(3).rng()));
+        assert_eq!(named("full_can"), None);
     }
 
     #[test]

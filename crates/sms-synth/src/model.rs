@@ -1,16 +1,13 @@
-//! Scanned models as scenes: a mesh from files, standing on a floor, and an orbit of cameras scaled to its size.
+//! Scanned models: a mesh from files, standing on a floor.
 
-use crate::floor::draw_floor;
-use crate::materials::draw_material;
 use crate::scene::{Hollow, TruthObject, TruthScene};
 use crate::skin::Skin;
 use crate::texture::{Pattern, Texture};
 use glamx::{DPose3, DQuat, DVec3};
 use image::ImageReader;
-use rand::RngExt;
 use sms_core::{
-    Aabb, Camera, ColorImage, CoreError, InputError, Intrinsics, MassProperties, Material, Mesh, MeshTexture,
-    Seed, box_mass_properties, polyhedron_mass_properties,
+    Aabb, ColorImage, CoreError, InputError, MassProperties, Material, Mesh, MeshTexture, StageRng,
+    box_mass_properties, polyhedron_mass_properties,
 };
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -167,33 +164,15 @@ pub struct ModelScene {
     pub skins: Vec<Option<Skin>>,
 }
 
-/// Places a model on a floor in its file's orientation, its lowest point at z = 0, its middle above the origin, turned about z
-/// by an angle from the seed (so that no edge is aligned with the axes by chance).
-///
-/// Its material is unknown: it is called `unknown` and has the values of wood. Its mass properties are those of the enclosed
-/// volume, or of a box around it if it encloses none.
-pub fn model_scene(name: &str, model: &ScannedModel, seed: Seed) -> ModelScene {
-    let seed = seed.derive("model scene v1").derive(name);
-    let mut rng = seed.derive("object").rng();
-    let turn = DQuat::from_rotation_z(rng.random::<f64>() * std::f64::consts::TAU);
-    let material = Material { class: "unknown".into(), ..draw_material("wood", &mut rng) };
-    let density = material.density.value.best;
-    let (object, skin) = standing(name, model, turn, material, density, rng.random::<u32>());
-    let bounds = object.aabb_w();
-    let mut scene = TruthScene::of_objects(name.to_owned(), seed, vec![object], draw_floor(seed, seed));
-    scene.workspace_center_w = bounds.center();
-    ModelScene { scene, skins: vec![skin] }
-}
-
 /// Places a model on the floor, turned, its middle above the origin, with its image texture. Its mass is that of the enclosed
 /// volume (of a box around it if it encloses none) at this effective density, kg/m³.
-pub(crate) fn standing(
+pub fn standing(
     name: &str,
     model: &ScannedModel,
     turn: DQuat,
     material: Material,
     density: f64,
-    texture_seed: u32,
+    rng: &mut StageRng,
 ) -> (TruthObject, Option<Skin>) {
     let turned = model.mesh.transformed(&DPose3::from_parts(DVec3::ZERO, turn));
     let bounds = turned.aabb().unwrap_or(Aabb { min: DVec3::ZERO, max: DVec3::ZERO });
@@ -201,16 +180,7 @@ pub(crate) fn standing(
     let lift = -bounds.center().with_z(bounds.min.z);
     let mass = mass_of(&turned, &bounds, density);
     let com = mass.com();
-    let texture = Texture {
-        pattern: Pattern::Plain,
-        color: model.color,
-        accent: model.color,
-        scale_m: 0.02,
-        seed: texture_seed,
-        gloss: 0.3,
-        metalness: 0.0,
-        spots: Vec::new(),
-    };
+    let texture = Texture::drawn(rng, Pattern::Plain, (model.color, model.color), 0.02, 0.3);
     let mesh = turned.transformed(&DPose3::from_translation(-com));
     let skin = model.texture.as_ref().and_then(|t| Skin::new(&mesh, t));
     let x_wb = DPose3::from_translation(lift + com);
@@ -239,46 +209,13 @@ fn mass_of(mesh: &Mesh, bounds: &Aabb, density: f64) -> MassProperties {
         .expect("a box of positive size has mass")
 }
 
-/// Rings of the orbit: elevation in degrees, and the share of the frames. The highest ring shows cavities.
-const RINGS: [(f64, f64); 3] = [(15.0, 0.40), (40.0, 0.33), (68.0, 0.27)];
-/// Distance of the cameras from the middle of the object, in radii of the sphere around it. The object fills most of the
-/// height of an image with the default field of view.
-const ORBIT_RADII: f64 = 2.8;
-/// Minimum distance of the cameras from the middle, metres: nearer, the near side of a small object would be below the depth
-/// camera's range.
-const NEAREST_M: f64 = 0.25;
-
-/// Returns camera poses `X_WC` (OpenCV axes) on three rings around the box of an object, all aimed at its middle. Distances
-/// grow with the object, so that every object has about the same size in the images.
-pub fn orbit_poses(bounds: &Aabb, frames: usize) -> Vec<DPose3> {
-    let center = bounds.center();
-    let distance = (ORBIT_RADII * 0.5 * bounds.extents().length()).max(NEAREST_M);
-    // Only the pose is used.
-    let intrinsics = Intrinsics::from_fov(2, 2, 1.0);
-    let mut ends = [0; 3];
-    let mut share = 0.0;
-    for (end, (_, s)) in ends.iter_mut().zip(RINGS) {
-        share += s;
-        *end = (share * frames as f64).round() as usize;
-    }
-    (0..frames)
-        .map(|i| {
-            let ring = ends.iter().position(|&end| i < end).unwrap_or(RINGS.len() - 1);
-            let start = if ring == 0 { 0 } else { ends[ring - 1] };
-            let count = (ends[ring] - start).max(1) as f64;
-            // Rings are turned against each other, so that directions do not repeat.
-            let azimuth = std::f64::consts::TAU * ((i - start) as f64 + ring as f64 / 3.0) / count;
-            let (up, flat) = RINGS[ring].0.to_radians().sin_cos();
-            let eye = center + distance * DVec3::new(flat * azimuth.cos(), flat * azimuth.sin(), up);
-            Camera::look_at(intrinsics, eye, center, DVec3::Z).x_wc
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::floor::draw_floor;
+    use crate::materials::draw_material;
     use crate::{CameraModel, DepthCamera, Renderer};
+    use sms_core::{Camera, Intrinsics, Seed};
 
     fn write(dir: &Path, name: &str, text: &str) {
         std::fs::write(dir.join(name), text).unwrap();
@@ -313,21 +250,21 @@ mod tests {
         assert!(model.mesh.is_closed_oriented() && (model.mesh.volume() - 1e-3).abs() < 1e-12);
         assert_eq!(model.color, [128, 128, 255]);
 
-        let placed = model_scene("cube", &model, Seed(1));
-        let object = &placed.scene.objects[0];
+        let mut rng = Seed(1).rng();
+        let material = draw_material("wood", &mut rng);
+        let (object, skin) = standing("cube", &model, DQuat::from_rotation_z(0.3), material, 600.0, &mut rng);
         let bounds = object.aabb_w();
         assert!(bounds.min.z.abs() < 1e-12 && bounds.center().truncate().length() < 1e-12);
         assert!((object.mass.com()).length() < 1e-12);
-        let poses = orbit_poses(&bounds, 60);
-        assert_eq!(poses.len(), 60);
-        for x_wc in &poses {
-            assert!((x_wc.translation - bounds.center()).length() >= 0.25 - 1e-12);
-            assert!(x_wc.translation.z > 0.1);
-        }
-        let camera = Camera::new(Intrinsics::from_fov(160, 100, 1.2), poses[59]);
+        let (scene, skins) = (
+            TruthScene::of_objects("cube".into(), Seed(1), vec![object], draw_floor(Seed(1), Seed(1))),
+            [skin],
+        );
+        let eye = bounds.center() + DVec3::new(0.06, 0.07, 0.23);
+        let camera = Camera::look_at(Intrinsics::from_fov(160, 100, 1.2), eye, bounds.center(), DVec3::Z);
         let sensor =
             CameraModel { depth: DepthCamera::perfect(), color_sigma: 0.0, antialias: true, seed: Seed(0) };
-        let frame = Renderer::with_skins(&placed.scene, &placed.skins).render(&camera, &sensor);
+        let frame = Renderer::with_skins(&scene, &skins).render(&camera, &sensor);
         // Seen from above: on the top the picture is red, on the sides mostly blue.
         let mut red = [0usize; 2];
         for (at, (color, label)) in frame.color.data.iter().zip(&frame.label.data).enumerate() {

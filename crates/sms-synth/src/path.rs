@@ -46,20 +46,11 @@ impl CameraPath {
 
     /// Returns the camera poses `X_WC` (OpenCV axes) of `frames` frames of the scene.
     pub fn poses(&self, scene: &TruthScene, frames: usize) -> Vec<DPose3> {
-        let base = scene.robot_base_w;
-        let target = scene.workspace_center_w;
-        // Only the pose is used.
-        let intrinsics = Intrinsics::from_fov(2, 2, 1.0);
-        (0..frames)
-            .map(|i| {
-                let progress = i as f64 / frames.saturating_sub(1).max(1) as f64;
-                let height =
-                    self.height_range_m[0] + (self.height_range_m[1] - self.height_range_m[0]) * progress;
-                let round = (progress * self.rounds as f64).fract();
-                let eye = base + self.point_on_round(round, height);
-                Camera::look_at(intrinsics, eye, target, DVec3::Z).x_wc
-            })
-            .collect()
+        let [low, high] = self.height_range_m;
+        aimed_poses(scene.workspace_center_w, frames, |progress| {
+            let round = (progress * self.rounds as f64).fract();
+            scene.robot_base_w + self.point_on_round(round, low + (high - low) * progress)
+        })
     }
 
     /// Returns the point at share `t` of a round, relative to the base.
@@ -107,22 +98,20 @@ impl HelicalPath {
     /// workspace and begin on the side of the world's −x.
     pub fn poses(&self, scene: &TruthScene, frames: usize) -> Vec<DPose3> {
         let target = scene.workspace_center_w;
-        // Only the pose is used.
-        let intrinsics = Intrinsics::from_fov(2, 2, 1.0);
         let [low, high] = self.height_range_m;
-        (0..frames)
-            .map(|i| {
-                let progress = i as f64 / frames.saturating_sub(1).max(1) as f64;
-                let angle = std::f64::consts::PI + std::f64::consts::TAU * self.orbits as f64 * progress;
-                let flat = DVec3::new(angle.cos(), angle.sin(), 0.0) * self.radius_m;
-                let eye = (target + flat).with_z(low + (high - low) * progress);
-                Camera::look_at(intrinsics, eye, target, DVec3::Z).x_wc
-            })
-            .collect()
+        aimed_poses(target, frames, |progress| {
+            let angle = std::f64::consts::PI + std::f64::consts::TAU * self.orbits as f64 * progress;
+            let flat = DVec3::new(angle.cos(), angle.sin(), 0.0) * self.radius_m;
+            (target + flat).with_z(low + (high - low) * progress)
+        })
     }
 }
 
-/// Returns the default path around a billiards scene: `X_WC` of each frame. See [`CameraPath`] for its heights.
-pub fn paper_billiards_path(scene: &TruthScene, frames: usize) -> Vec<DPose3> {
-    CameraPath::default().poses(scene, frames)
+/// Returns the poses of cameras that look at `target_w`; `eye_w` maps the progress from 0 to 1 to a position.
+fn aimed_poses(target_w: DVec3, frames: usize, eye_w: impl Fn(f64) -> DVec3) -> Vec<DPose3> {
+    // Only the pose is used.
+    let intrinsics = Intrinsics::from_fov(2, 2, 1.0);
+    let progress = |i: usize| i as f64 / frames.saturating_sub(1).max(1) as f64;
+    let pose = |i: usize| Camera::look_at(intrinsics, eye_w(progress(i)), target_w, DVec3::Z).x_wc;
+    (0..frames).map(pose).collect()
 }

@@ -53,6 +53,14 @@ pub(crate) struct RayHit {
     pub(crate) shadow_origin: Vec3,
 }
 
+impl RayHit {
+    /// A hit of the floor or of a sphere, which have no facets.
+    fn smooth(t: f32, object: Option<usize>, point: Vec3, normal: Vec3) -> Self {
+        let shadow_origin = point + normal * 1e-4;
+        Self { t, facet: None, object, point, normal, flat_normal: normal, shadow_origin }
+    }
+}
+
 /// Facets that meet at less than this angle (38°) are shaded as one smooth surface.
 const CREASE_COS: f64 = 0.79;
 
@@ -102,17 +110,7 @@ impl RayScene {
             let point = origin + direction * t;
             if point.x.abs() <= self.half_floor && point.y.abs() <= self.half_floor {
                 limit = t;
-                let point = point.with_z(0.0);
-                let shadow_origin = point + Vec3::Z * 1e-4;
-                hit = Some(RayHit {
-                    t,
-                    facet: None,
-                    object: None,
-                    point,
-                    normal: Vec3::Z,
-                    flat_normal: Vec3::Z,
-                    shadow_origin,
-                });
+                hit = Some(RayHit::smooth(t, None, point.with_z(0.0), Vec3::Z));
             }
         }
         for (index, body) in self.bodies.iter().enumerate() {
@@ -121,18 +119,7 @@ impl RayScene {
             {
                 limit = t;
                 let normal = (origin + direction * t - center).normalize();
-                let point = center + normal * radius;
-                let shadow_origin = point + normal * 1e-4;
-                let object = Some(index);
-                hit = Some(RayHit {
-                    t,
-                    facet: None,
-                    object,
-                    point,
-                    normal,
-                    flat_normal: normal,
-                    shadow_origin,
-                });
+                hit = Some(RayHit::smooth(t, Some(index), center + normal * radius, normal));
             }
         }
         let ray = Ray::new(origin, direction, START);

@@ -276,12 +276,8 @@ fn claim_folder(scene: String, settings: &RecordingSettings, dir: &Path) -> Resu
     if path.exists() {
         let found: RecordingKey = atomic::read_json(&path)?;
         if found != key {
-            return Err(InputError::new(
-                "this folder holds a recording of another scene or with other settings",
-                dir,
-                "choose another folder, or remove this one",
-            )
-            .into());
+            let what = "this folder holds a recording of another scene or with other settings";
+            return Err(InputError::new(what, dir, "choose another folder, or remove this one").into());
         }
         for folder in ["color", "depth", "masks", "truth", "truth/masks"] {
             atomic::remove_leftovers(&dir.join(folder));
@@ -289,12 +285,9 @@ fn claim_folder(scene: String, settings: &RecordingSettings, dir: &Path) -> Resu
         return Ok(());
     }
     if dir.join("transforms.json").exists() || dir.join("color").exists() {
-        return Err(InputError::new(
-            "this folder holds a recording that sms did not generate",
-            dir,
-            "choose another folder",
-        )
-        .into());
+        let what = "this folder holds a recording that sms did not generate";
+        let cure = "choose another folder";
+        return Err(InputError::new(what, dir, cure).into());
     }
     atomic::write_json(&path, &key)
 }

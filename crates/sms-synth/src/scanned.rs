@@ -142,7 +142,7 @@ pub(crate) fn made_of(
     let material = draw_material(class, rng);
     let wall_density = material.density.value.best;
     let material = with_effective_density(material, fill * wall_density);
-    let (mut object, skin) = standing(name, model, turn, material, fill * wall_density, rng.random::<u32>());
+    let (mut object, skin) = standing(name, model, turn, material, fill * wall_density, rng);
     if let Some(wall_m) = wall_m(&object.mesh) {
         object.hollow = Hollow::Shell { wall_m, wall_density };
     }

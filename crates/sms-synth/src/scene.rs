@@ -136,7 +136,7 @@ pub struct SupportLevel {
 
 impl TruthScene {
     /// Creates a scene of objects on a floor, without balls, goal or robot; the workspace's centre is the origin.
-    pub(crate) fn of_objects(name: String, seed: Seed, objects: Vec<TruthObject>, floor: TruthFloor) -> Self {
+    pub fn of_objects(name: String, seed: Seed, objects: Vec<TruthObject>, floor: TruthFloor) -> Self {
         Self {
             version: TRUTH_VERSION,
             name,
@@ -174,8 +174,22 @@ impl TruthObject {
     }
 }
 
+/// Returns the box around all objects of a scene in the world; empty at the origin without objects.
+pub fn bounds_w(scene: &TruthScene) -> Aabb {
+    let boxes = scene.objects.iter().map(TruthObject::aabb_w);
+    let join = |a: Aabb, b: Aabb| Aabb { min: a.min.min(b.min), max: a.max.max(b.max) };
+    boxes.reduce(join).unwrap_or(Aabb { min: DVec3::ZERO, max: DVec3::ZERO })
+}
+
+/// Lifts an object that stands on the floor onto the top of another.
+pub fn on_top(mut object: TruthObject, below: &TruthObject) -> TruthObject {
+    let lift = DPose3::from_translation(DVec3::Z * below.aabb_w().max.z);
+    object.x_wb = lift * object.x_wb;
+    object
+}
+
 /// Makes names unique by numbering repeated ones: `mug`, `mug_2`, `mug_3` …
-pub(crate) fn name_uniquely(objects: &mut [TruthObject]) {
+pub fn name_uniquely(objects: &mut [TruthObject]) {
     let mut used: BTreeMap<String, usize> = BTreeMap::new();
     for object in objects {
         let count = used.entry(object.name.clone()).or_default();
@@ -194,16 +208,10 @@ pub fn read_truth(dir: &Path) -> Result<TruthScene, CoreError> {
     let path = dir.join("truth").join("truth.json");
     let scene: TruthScene = atomic::read_json(&path)?;
     if scene.version > TRUTH_VERSION {
-        let what = format!(
-            "this truth.json has version {}, this program reads up to {TRUTH_VERSION}",
-            scene.version
-        );
-        return Err(InputError::new(
-            what,
-            &path,
-            "use a newer version of sms, or generate the recording again",
-        )
-        .into());
+        let version = scene.version;
+        let what = format!("this truth.json has version {version}, this program reads up to {TRUTH_VERSION}");
+        let cure = "use a newer version of sms, or generate the recording again";
+        return Err(InputError::new(what, &path, cure).into());
     }
     Ok(scene)
 }

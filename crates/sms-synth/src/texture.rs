@@ -1,7 +1,9 @@
 //! Procedural surface colour: patterns in an object's asset frame `A`.
 
 use glamx::Vec3;
+use rand::RngExt;
 use serde::{Deserialize, Serialize};
+use sms_core::StageRng;
 use std::sync::LazyLock;
 
 /// Patterns of a surface.
@@ -69,6 +71,19 @@ pub struct Texture {
 }
 
 impl Texture {
+    /// Creates a texture without metal or spots; its noise seed is drawn. `colors` are the main and the second colour.
+    pub fn drawn(
+        rng: &mut StageRng,
+        pattern: Pattern,
+        colors: ([u8; 3], [u8; 3]),
+        scale_m: f32,
+        gloss: f32,
+    ) -> Self {
+        let (color, accent) = colors;
+        let seed = rng.random();
+        Self { pattern, color, accent, scale_m, seed, gloss, metalness: 0.0, spots: Vec::new() }
+    }
+
     /// Returns the linear-light RGB in [0, 1] at point `p_a` with unit normal `n_a` of the asset frame. Detail finer than
     /// `footprint_m` (metres across one pixel) fades out instead of aliasing.
     pub fn albedo(&self, p_a: Vec3, n_a: Vec3, footprint_m: f32) -> Vec3 {
@@ -343,16 +358,8 @@ mod tests {
     use super::*;
 
     fn texture(pattern: Pattern) -> Texture {
-        Texture {
-            pattern,
-            color: [200, 160, 90],
-            accent: [40, 60, 120],
-            scale_m: 0.02,
-            seed: 5,
-            gloss: 0.0,
-            metalness: 0.0,
-            spots: vec![],
-        }
+        let colors = ([200, 160, 90], [40, 60, 120]);
+        Texture { seed: 5, ..Texture::drawn(&mut sms_core::Seed(5).rng(), pattern, colors, 0.02, 0.0) }
     }
 
     const ALL: [Pattern; 12] = [

@@ -231,9 +231,10 @@ pub(crate) fn apply_to_matched(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::redrawn::redraw_materials;
     use sms_core::NoProgress;
     use sms_scene::BodyKind;
-    use sms_synth::{FIXED_SCENES, redraw_materials};
+    use sms_synth::FIXED_SCENES;
 
     fn known(truth: &TruthScene, material_prior: MaterialPrior) -> PlannerView {
         let mut bench = BilliardsBench::new(vec![], std::path::Path::new("keep"), "out");

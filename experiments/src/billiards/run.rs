@@ -234,6 +234,7 @@ fn idle_m(truth: &TruthScene) -> f64 {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::redrawn::redraw_materials;
     use crate::{
         BilliardsGeometry, Replaced, billiards_metrics, billiards_table, read_billiards, write_pictures,
         write_shots,
@@ -241,7 +242,7 @@ pub(super) mod tests {
     use sms_core::table::read_table;
     use sms_core::{NoProgress, Seed};
     use sms_plan::PlanConfig;
-    use sms_synth::{FIXED_SCENES, redraw_materials};
+    use sms_synth::FIXED_SCENES;
     use sms_target::SameEngineTarget;
     use sms_task::Action;
     use std::path::Path;

@@ -15,7 +15,7 @@ pub(crate) fn run(console: &Console, a: &CheckArguments) -> anyhow::Result<ExitC
         metrics.set("check.findings", serde_json::to_value(&report.findings)?);
         console.print_json(&metrics)?;
     } else {
-        console.say(report.to_text());
+        console.say(report.to_string());
     }
     // Exit code 2 means that the recording cannot be read; a fault in its content gives 1.
     Ok(if report.approved() { ExitCode::SUCCESS } else { ExitCode::from(1) })

@@ -1,7 +1,6 @@
 //! Planes in the fused points of several frames, by RANSAC.
 
-use super::AlignmentView;
-use crate::DepthNoise;
+use crate::{DepthNoise, Frame};
 use glamx::DVec3;
 use rand::RngExt;
 use sms_core::Seed;
@@ -49,9 +48,9 @@ impl SupportCandidate {
 
 impl FusedCells {
     /// Fuses evenly spread frames; positions are relative to `origin_r`.
-    pub(crate) fn gather(views: &[AlignmentView<'_>], origin_r: DVec3) -> Self {
+    pub(crate) fn gather(views: &[Frame], origin_r: DVec3) -> Self {
         let step = views.len().div_ceil(FRAMES).max(1);
-        let used: Vec<&AlignmentView<'_>> = views.iter().step_by(step).collect();
+        let used: Vec<&Frame> = views.iter().step_by(step).collect();
         let mut depths: Vec<f32> =
             used.iter().flat_map(|v| v.depth.data.iter().step_by(7).copied()).filter(|&z| z > 0.0).collect();
         depths.sort_by(f32::total_cmp);
@@ -59,7 +58,6 @@ impl FusedCells {
         let size = (0.012 * depth).max(0.002);
         let mut cells: BTreeMap<[i32; 3], (DVec3, DVec3, f64)> = BTreeMap::new();
         for view in used {
-            let camera = sms_core::Camera::new(view.intrinsics, view.x_rc);
             // About 20,000 points per frame are enough.
             let stride = ((view.depth.data.len() as f64 / 20_000.0).sqrt().floor() as usize).max(1);
             for y in (0..view.depth.height).step_by(stride) {
@@ -68,8 +66,8 @@ impl FusedCells {
                     if z <= 0.0 || n == [0.0; 3] {
                         continue;
                     }
-                    let p = camera.unproject_pixel(x, y, f64::from(z)) - origin_r;
-                    let n = view.x_rc.rotation * DVec3::new(n[0].into(), n[1].into(), n[2].into());
+                    let p = view.camera.unproject_pixel(x, y, f64::from(z)) - origin_r;
+                    let n = view.camera.x_wc.rotation * DVec3::new(n[0].into(), n[1].into(), n[2].into());
                     let key = (p / size).floor().to_array().map(|v| v as i32);
                     let cell = cells.entry(key).or_insert((DVec3::ZERO, DVec3::ZERO, 0.0));
                     cell.0 += p;

@@ -9,11 +9,11 @@ pub use report::{CheckReport, Finding, OverlapError, PixelCenterFit, ReadingFit,
 
 use crate::images::{read_color, read_depth};
 use crate::load::selected_frames;
-use crate::{FramesError, Recording};
+use crate::{FramesError, Notice, Recording};
 use overlap::{DepthSamples, median};
 use rayon::prelude::*;
 use readings::CheckData;
-use sms_core::{Cancel, Image, InputError, Progress};
+use sms_core::{Cancel, Image, Progress};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -37,7 +37,7 @@ struct Scanned {
 /// unit and pixel centre with the common alternatives.
 ///
 /// # Errors
-/// [`InputError`] naming the file that is missing, damaged or empty; [`FramesError::Interrupted`] when cancelled.
+/// [`FramesError::Input`] naming the file that is missing, damaged or empty; [`FramesError::Interrupted`] when cancelled.
 /// Conventions that do not fit are reported as [`Finding`]s, not as errors.
 pub fn check(
     recording: &Recording,
@@ -61,12 +61,7 @@ pub fn check(
         .collect();
     let mut scanned = scanned.into_iter().collect::<Result<Vec<_>, _>>()?;
     if scanned.iter().all(|s| s.valid == 0) {
-        return Err(InputError::new(
-            "every depth image is empty",
-            &recording.root,
-            "record again with depth",
-        )
-        .into());
+        return Err(recording.without_depth().into());
     }
     let probes: Vec<DepthSamples> = scanned
         .iter_mut()
@@ -85,6 +80,12 @@ pub fn check(
     let valid: usize = scanned.iter().map(|s| s.valid).sum();
     let first = &recording.frames[0];
     let depth_k = first.depth_lens.intrinsics;
+    let finding = |notice: &Notice| Finding {
+        severity: Severity::Warning,
+        code: notice.code,
+        what: notice.message.clone(),
+        cure: notice.cure.clone(),
+    };
     let mut report = CheckReport {
         source: recording.root.clone(),
         format: recording.format,
@@ -111,9 +112,8 @@ pub fn check(
         units: Vec::new(),
         best_unit_factor: None,
         pixel_center_fit: None,
-        findings: Vec::new(),
+        findings: recording.notices.iter().map(finding).collect(),
     };
-    add_notices(recording, &mut report);
     readings::judge(&data, &mut report);
     judge_quality(&data, &mut report);
     report.findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
@@ -151,25 +151,15 @@ fn scan_frame(recording: &Recording, index: usize, keep: bool) -> Result<Scanned
     Ok(Scanned { valid, pixels: raw.data.len(), depths, raw: keep.then_some(raw) })
 }
 
-fn add_notices(recording: &Recording, report: &mut CheckReport) {
-    for notice in &recording.notices {
-        report.findings.push(Finding {
-            severity: Severity::Warning,
-            code: notice.code,
-            what: notice.message.clone(),
-            cure: notice.cure.clone(),
-        });
-    }
-}
-
 /// Adds findings on the recording's quality, which other conventions would not cure.
 fn judge_quality(data: &CheckData<'_>, report: &mut CheckReport) {
-    let mut add = |severity, code, what: String, cure: &str| {
-        report.findings.push(Finding { severity, code, what, cure: cure.to_owned() });
+    let faulty = !report.approved();
+    let middle = report.depth_range_m[1];
+    let mut add = |code, what: String, cure: &str| {
+        report.findings.push(Finding { severity: Severity::Warning, code, what, cure: cure.to_owned() });
     };
     if report.valid_depth_share < 0.15 {
         add(
-            Severity::Warning,
             "sparse_depth",
             format!("only {:.0} % of the depth pixels hold a measurement", 100.0 * report.valid_depth_share),
             "record from nearer, avoid shiny and dark surfaces, or register depth to colour with hole filling off",
@@ -177,24 +167,17 @@ fn judge_quality(data: &CheckData<'_>, report: &mut CheckReport) {
     }
     if report.frames < 5 {
         add(
-            Severity::Warning,
             "few_frames",
             format!("there are only {} frames", report.frames),
             "record 20 frames or more from around the scene",
         );
     }
-    let faulty = report.findings.iter().any(|f| f.severity == Severity::Fault);
-    let middle = report.depth_range_m[1];
-    let mut add = |severity, code, what: String, cure: &str| {
-        report.findings.push(Finding { severity, code, what, cure: cure.to_owned() });
-    };
     if faulty {
         // The other findings would only repeat the fault.
         return;
     }
     if !(0.08..15.0).contains(&middle) {
         add(
-            Severity::Warning,
             "implausible_depth",
             format!("the median depth is {middle:.3} m, outside the range of most depth cameras"),
             "check depth_unit_scale_factor: 0.001 if the images hold millimetres",
@@ -208,7 +191,6 @@ fn judge_quality(data: &CheckData<'_>, report: &mut CheckReport) {
             let list: Vec<String> =
                 by_pair.iter().take(8).map(|p| format!("{} → {}", p.0, p.0 + 1)).collect();
             add(
-                Severity::Warning,
                 "pose_jumps",
                 format!(
                     "{} of the checked pairs of neighbouring frames disagree: {}",
@@ -220,7 +202,6 @@ fn judge_quality(data: &CheckData<'_>, report: &mut CheckReport) {
         }
         if typical > 0.02 * middle {
             add(
-                Severity::Warning,
                 "loose_overlap",
                 format!("neighbouring frames differ by {:.1} mm (median) at {middle:.2} m", 1e3 * typical),
                 "the poses or the depth are inaccurate, or depth is not registered to the posed camera",

@@ -3,7 +3,6 @@
 use crate::{Axes, Lens, PoseDirection, RecordingFormat};
 use serde::Serialize;
 use sms_core::metrics::Metrics;
-use std::fmt::Write;
 use std::path::PathBuf;
 
 /// How much a finding matters.
@@ -141,16 +140,10 @@ impl CheckReport {
         metrics.set("check.overlap_4_m", self.overlap_4.map(|o| o.median_m));
         metrics
     }
+}
 
-    /// Formats the report as text.
-    pub fn to_text(&self) -> String {
-        let mut text = String::new();
-        // Writing to a string cannot fail.
-        let _ = self.write_text(&mut text);
-        text
-    }
-
-    fn write_text(&self, out: &mut String) -> std::fmt::Result {
+impl std::fmt::Display for CheckReport {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let k = &self.lens.intrinsics;
         writeln!(out, "{} ({})", self.source.display(), self.format.name())?;
         let (cw, ch) = self.color_size;
@@ -236,12 +229,6 @@ impl CheckReport {
             writeln!(out, "The declared conventions fit the data.")?;
         }
         Ok(())
-    }
-}
-
-impl std::fmt::Display for CheckReport {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.to_text().trim_end())
     }
 }
 

@@ -69,29 +69,15 @@ struct TransformsJson {
     frames: Vec<FrameKeys>,
 }
 
-impl CameraKeys {
-    /// Returns the frame's keys, completed by those of the file.
-    fn or(&self, all: &Self) -> Self {
-        let pick = |own: Option<f64>, shared: Option<f64>| own.or(shared);
-        Self {
-            camera_model: self.camera_model.clone().or_else(|| all.camera_model.clone()),
-            camera_angle_x: pick(self.camera_angle_x, all.camera_angle_x),
-            fl_x: pick(self.fl_x, all.fl_x),
-            fl_y: pick(self.fl_y, all.fl_y),
-            cx: pick(self.cx, all.cx),
-            cy: pick(self.cy, all.cy),
-            w: pick(self.w, all.w),
-            h: pick(self.h, all.h),
-            k1: pick(self.k1, all.k1),
-            k2: pick(self.k2, all.k2),
-            k3: pick(self.k3, all.k3),
-            p1: pick(self.p1, all.p1),
-            p2: pick(self.p2, all.p2),
-            depth_fl_x: pick(self.depth_fl_x, all.depth_fl_x),
-            depth_fl_y: pick(self.depth_fl_y, all.depth_fl_y),
-            depth_cx: pick(self.depth_cx, all.depth_cx),
-            depth_cy: pick(self.depth_cy, all.depth_cy),
-        }
+/// The keys of a frame, completed by those of the file.
+struct FrameCamera<'a> {
+    own: &'a CameraKeys,
+    shared: &'a CameraKeys,
+}
+
+impl FrameCamera<'_> {
+    fn get(&self, key: fn(&CameraKeys) -> Option<f64>) -> Option<f64> {
+        key(self.own).or_else(|| key(self.shared))
     }
 }
 
@@ -109,22 +95,14 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
     let text = std::fs::read_to_string(&json).map_err(CoreError::read(&json))?;
     let all: TransformsJson = serde_json::from_str(&text).map_err(|e| parse_error(&json, &text, &e))?;
     if all.frames.is_empty() {
-        return Err(InputError::new(
-            "the recording has no frames",
-            &json,
-            "\"frames\" must list at least one frame with file_path, depth_file_path and transform_matrix",
-        )
-        .into());
+        let cure =
+            "\"frames\" must list at least one frame with file_path, depth_file_path and transform_matrix";
+        return Err(InputError::new("the recording has no frames", &json, cure).into());
     }
     let mut notices = Vec::new();
-    let axes = match options.axes {
-        Some(axes) => axes,
-        None => declared_axes(all.camera_convention.as_deref(), &json)?,
-    };
-    let poses = match options.poses {
-        Some(poses) => poses,
-        None => declared_direction(all.pose_convention.as_deref(), &json)?,
-    };
+    let axes = options.axes.map_or_else(|| declared_axes(all.camera_convention.as_deref(), &json), Ok)?;
+    let poses =
+        options.poses.map_or_else(|| declared_direction(all.pose_convention.as_deref(), &json), Ok)?;
     let depth_unit_m = match options.depth_unit_m.or(all.depth_unit_scale_factor) {
         Some(unit) => positive(unit, "depth_unit_scale_factor", &json)?,
         None => {
@@ -138,12 +116,10 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
     };
     let pixel_center = options.pixel_center.or(all.pixel_center).unwrap_or(0.5);
     let scale = positive(all.applied_scale.unwrap_or(1.0), "applied_scale", &json)?;
-    let world_up_r = match all.world_up.map(DVec3::from) {
-        Some(up) => Some(up.try_normalize().ok_or_else(|| {
-            InputError::new("\"world_up\" is not a direction", &json, "give three numbers, e.g. [0, 0, 1]")
-        })?),
-        None => None,
-    };
+    let no_direction =
+        || InputError::new("\"world_up\" is not a direction", &json, "give three numbers, e.g. [0, 0, 1]");
+    let direction = |up| DVec3::from_array(up).try_normalize().ok_or_else(no_direction);
+    let world_up_r = all.world_up.map(direction).transpose()?;
     let reader = Reader {
         dir,
         json: json.clone(),
@@ -235,18 +211,15 @@ impl Reader<'_> {
     fn frame(&self, index: usize, frame: &FrameKeys, all: &CameraKeys) -> Result<RecordedFrame, FramesError> {
         let color_path = self.resolve(&frame.file_path);
         let Some(depth_name) = &frame.depth_file_path else {
-            return Err(InputError::new(
-                format!("frame {index} ({}) has no depth", frame.file_path),
-                &self.json,
-                "add \"depth_file_path\" to every frame: RGB-D recordings are required",
-            )
-            .into());
+            let what = format!("frame {index} ({}) has no depth", frame.file_path);
+            let cure = "add \"depth_file_path\" to every frame: RGB-D recordings are required";
+            return Err(InputError::new(what, &self.json, cure).into());
         };
         let depth_path = self.resolve(depth_name);
         let mask_path = frame.mask_path.as_deref().map(|m| self.resolve(m));
         let color = color_size(&color_path)?;
         let depth = depth_size(&depth_path)?;
-        let keys = frame.camera.or(all);
+        let keys = FrameCamera { own: &frame.camera, shared: all };
         let color_lens = self.color_lens(&keys, color, &color_path)?;
         let depth_lens = self.depth_lens(&keys, &color_lens, depth, &depth_path)?;
         let (x_rc, pose_rounding) = pose_from_rows(&frame.transform_matrix).map_err(|why| {
@@ -285,74 +258,58 @@ impl Reader<'_> {
         path
     }
 
-    fn color_lens(&self, keys: &CameraKeys, size: (usize, usize), image: &Path) -> Result<Lens, FramesError> {
+    fn color_lens(
+        &self,
+        keys: &FrameCamera<'_>,
+        size: (usize, usize),
+        image: &Path,
+    ) -> Result<Lens, FramesError> {
         let json = &self.json;
-        if let Some(model) = &keys.camera_model
+        if let Some(model) = keys.own.camera_model.as_ref().or(keys.shared.camera_model.as_ref())
             && !["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"].contains(&model.as_str())
         {
-            return Err(InputError::new(
-                format!("the camera model {model} is not supported"),
-                json,
-                "undistort the recording to the PINHOLE or OPENCV model",
-            )
-            .into());
+            let what = format!("the camera model {model} is not supported");
+            let cure = "undistort the recording to the PINHOLE or OPENCV model";
+            return Err(InputError::new(what, json, cure).into());
         }
-        if let (Some(w), Some(h)) = (keys.w, keys.h)
+        if let (Some(w), Some(h)) = (keys.get(|k| k.w), keys.get(|k| k.h))
             && (w.round() as usize, h.round() as usize) != size
         {
-            return Err(InputError::new(
-                format!("the image is {} × {} but its intrinsics are for {w} × {h}", size.0, size.1),
-                image,
-                "restore the image at its original size, or scale w, h, fl_x, fl_y, cx and cy in transforms.json \
-                 to the image",
-            )
-            .into());
+            let what = format!("the image is {} × {} but its intrinsics are for {w} × {h}", size.0, size.1);
+            let cure = "restore the image at its original size, or scale w, h, fl_x, fl_y, cx and cy in \
+                        transforms.json to the image";
+            return Err(InputError::new(what, image, cure).into());
         }
-        let fx = keys.fl_x.or(keys.camera_angle_x.map(|a| 0.5 * size.0 as f64 / (0.5 * a).tan()));
-        let given = self.options.intrinsics.map(|[fx, fy, cx, cy]| (fx, fy, cx, cy));
-        let Some((fx, fy, cx, cy)) = given.or(fx.map(|fx| {
+        let by_angle = |angle: f64| 0.5 * size.0 as f64 / (0.5 * angle).tan();
+        let fx = keys.get(|k| k.fl_x).or(keys.get(|k| k.camera_angle_x).map(by_angle));
+        let Some(values) = self.options.intrinsics.or(fx.map(|fx| {
             // Without a principal point the image centre is used, regardless of the pixel-centre convention.
             let middle = |n: usize| 0.5 * n as f64 - self.center_shift;
-            let (cx, cy) = (keys.cx.unwrap_or(middle(size.0)), keys.cy.unwrap_or(middle(size.1)));
-            (fx, keys.fl_y.unwrap_or(fx), cx, cy)
+            let cx = keys.get(|k| k.cx).unwrap_or(middle(size.0));
+            let cy = keys.get(|k| k.cy).unwrap_or(middle(size.1));
+            [fx, keys.get(|k| k.fl_y).unwrap_or(fx), cx, cy]
         })) else {
-            return Err(InputError::new(
-                "the camera's focal length is missing",
-                json,
-                "add fl_x, fl_y, cx and cy in pixels, for all frames or in each",
-            )
-            .into());
+            let cure = "add fl_x, fl_y, cx and cy in pixels, for all frames or in each";
+            return Err(InputError::new("the camera's focal length is missing", json, cure).into());
         };
-        let distortion = match self.options.distortion {
-            Some(d) => Distortion::from_opencv(d),
-            None => Distortion {
-                k1: keys.k1.unwrap_or(0.0),
-                k2: keys.k2.unwrap_or(0.0),
-                p1: keys.p1.unwrap_or(0.0),
-                p2: keys.p2.unwrap_or(0.0),
-                k3: keys.k3.unwrap_or(0.0),
-            },
-        };
-        let shift = self.center_shift;
-        let intrinsics = Intrinsics { width: size.0, height: size.1, fx, fy, cx: cx + shift, cy: cy + shift };
-        check_intrinsics(&intrinsics, json)?;
-        Ok(Lens { intrinsics, distortion })
+        let stated: [fn(&CameraKeys) -> Option<f64>; 5] = [|k| k.k1, |k| k.k2, |k| k.p1, |k| k.p2, |k| k.k3];
+        let stated = stated.map(|key| keys.get(key).unwrap_or(0.0));
+        let distortion = Distortion::from_opencv(self.options.distortion.unwrap_or(stated));
+        Ok(Lens { intrinsics: checked_intrinsics(size, values, self.center_shift, json)?, distortion })
     }
 
     fn depth_lens(
         &self,
-        keys: &CameraKeys,
+        keys: &FrameCamera<'_>,
         color: &Lens,
         size: (usize, usize),
         image: &Path,
     ) -> Result<Lens, FramesError> {
         let k = &color.intrinsics;
-        let shift = self.center_shift;
-        if let (Some(fx), Some(cx), Some(cy)) = (keys.depth_fl_x, keys.depth_cx, keys.depth_cy) {
-            let fy = keys.depth_fl_y.unwrap_or(fx);
-            let intrinsics =
-                Intrinsics { width: size.0, height: size.1, fx, fy, cx: cx + shift, cy: cy + shift };
-            check_intrinsics(&intrinsics, &self.json)?;
+        let (fx, fy) = (keys.get(|k| k.depth_fl_x), keys.get(|k| k.depth_fl_y));
+        if let (Some(fx), Some(cx), Some(cy)) = (fx, keys.get(|k| k.depth_cx), keys.get(|k| k.depth_cy)) {
+            let values = [fx, fy.unwrap_or(fx), cx, cy];
+            let intrinsics = checked_intrinsics(size, values, self.center_shift, &self.json)?;
             return Ok(Lens { intrinsics, distortion: Distortion::default() });
         }
         if size == (k.width, k.height) {
@@ -361,26 +318,40 @@ impl Reader<'_> {
         if self.same_field_of_view {
             return Ok(Lens { intrinsics: k.scaled_to(size.0, size.1), distortion: color.distortion });
         }
-        Err(InputError::new(
-            format!(
-                "the depth image is {} × {} and the colour image {} × {}, with unknown correspondence",
-                size.0, size.1, k.width, k.height
-            ),
-            image,
-            "add depth_fl_x, depth_fl_y, depth_cx and depth_cy to transforms.json, or \
-             \"depth_same_field_of_view\": true when one is the other scaled",
-        )
-        .into())
+        let cure = "add depth_fl_x, depth_fl_y, depth_cx and depth_cy to transforms.json, or \
+                    \"depth_same_field_of_view\": true when one is the other scaled";
+        Err(not_registered(size, (k.width, k.height), image, cure).into())
     }
 }
 
-/// Rejects implausible intrinsics.
-pub(crate) fn check_intrinsics(k: &Intrinsics, file: &Path) -> Result<(), InputError> {
+/// The error for depth and colour images of different size with unknown correspondence.
+pub(crate) fn not_registered(
+    depth: (usize, usize),
+    color: (usize, usize),
+    depth_image: &Path,
+    cure: &str,
+) -> InputError {
+    let ((dw, dh), (cw, ch)) = (depth, color);
+    let what = format!(
+        "the depth image is {dw} × {dh} and the colour image {cw} × {ch}, with unknown correspondence"
+    );
+    InputError::new(what, depth_image, cure)
+}
+
+/// Returns the intrinsics of an image of width × height pixels; `shift` is added to the principal point. Rejects
+/// implausible values.
+pub(crate) fn checked_intrinsics(
+    (width, height): (usize, usize),
+    [fx, fy, cx, cy]: [f64; 4],
+    shift: f64,
+    file: &Path,
+) -> Result<Intrinsics, InputError> {
+    let k = Intrinsics { width, height, fx, fy, cx: cx + shift, cy: cy + shift };
     let finite = [k.fx, k.fy, k.cx, k.cy].iter().all(|v| v.is_finite());
     let (w, h) = (k.width as f64, k.height as f64);
     let near_image = k.cx > -w && k.cx < 2.0 * w && k.cy > -h && k.cy < 2.0 * h;
     if finite && k.fx > 0.0 && k.fy > 0.0 && near_image && w > 0.0 && h > 0.0 {
-        return Ok(());
+        return Ok(k);
     }
     Err(InputError::new(
         format!(

@@ -5,13 +5,13 @@
 //! time of the depth image, because depth determines the surfaces. Depth is in 1/5000 m.
 
 use super::to_opencv;
-use crate::formats::nerfstudio::check_intrinsics;
+use crate::formats::nerfstudio::{checked_intrinsics, not_registered};
 use crate::images::{color_size, depth_size};
 use crate::recording::{Notice, RecordedFrame, Recording, RecordingFormat};
 use crate::{Axes, Distortion, FramesError, Lens, PoseDirection, ReadOptions};
 use glamx::{DPose3, DQuat, DVec3};
 use rayon::prelude::*;
-use sms_core::{InputError, Intrinsics};
+use sms_core::InputError;
 use std::path::{Path, PathBuf};
 
 struct Calibration {
@@ -56,12 +56,8 @@ fn read_list(path: &Path) -> Result<Vec<(f64, String)>, FramesError> {
     let mut list = Vec::new();
     for (line, words) in rows(path)? {
         let [time, file, ..] = words.as_slice() else {
-            return Err(InputError::new(
-                format!("line {line} is not `time file`"),
-                path,
-                "correct or remove this line",
-            )
-            .into());
+            let cure = "correct or remove this line";
+            return Err(InputError::new(format!("line {line} is not `time file`"), path, cure).into());
         };
         list.push((number(time, path, line)?, file.clone()));
     }
@@ -74,21 +70,18 @@ fn read_trajectory(path: &Path) -> Result<Vec<(f64, DPose3)>, FramesError> {
     for (line, words) in rows(path)? {
         let values = words.iter().map(|w| number(w, path, line)).collect::<Result<Vec<_>, _>>()?;
         let &[time, tx, ty, tz, qx, qy, qz, qw] = values.as_slice() else {
-            return Err(InputError::new(
-                format!("line {line} has {} numbers instead of 8", values.len()),
-                path,
-                "each line must be `time tx ty tz qx qy qz qw`",
-            )
-            .into());
+            let what = format!("line {line} has {} numbers instead of 8", values.len());
+            return Err(InputError::new(what, path, "each line must be `time tx ty tz qx qy qz qw`").into());
         };
         let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
         if (rotation.length() - 1.0).abs() > 5e-3 {
-            return Err(InputError::new(
-                format!("the pose in line {line} is not rigid: its quaternion has length {:.4}", rotation.length()),
-                path,
-                "export the trajectory again with unit quaternions in the order qx qy qz qw, or remove the line",
-            )
-            .into());
+            let what = format!(
+                "the pose in line {line} is not rigid: its quaternion has length {:.4}",
+                rotation.length()
+            );
+            let cure = "export the trajectory again with unit quaternions in the order qx qy qz qw, or remove the \
+                        line";
+            return Err(InputError::new(what, path, cure).into());
         }
         poses.push((time, DPose3::from_parts(DVec3::new(tx, ty, tz), rotation.normalize())));
     }
@@ -134,22 +127,21 @@ fn interpolate(trajectory: &[(f64, DPose3)], time: f64, max_gap: f64) -> Option<
     Some(DPose3::from_parts(a.translation.lerp(b.translation, s), a.rotation.slerp(b.rotation, s)))
 }
 
+/// Cameras with their published fx, fy, cx, cy and k1, k2, p1, p2, k3.
+const PUBLISHED: [(&str, [f64; 4], [f64; 5]); 3] = [
+    ("freiburg1", [517.3, 516.5, 318.6, 255.3], [0.2624, -0.9531, -0.0054, 0.0026, 1.1633]),
+    ("freiburg2", [520.9, 521.0, 325.1, 249.7], [0.2312, -0.7849, -0.0033, -0.0001, 0.9172]),
+    ("freiburg3", [535.4, 539.2, 320.1, 247.6], [0.0; 5]),
+];
+const DEFAULT: (&str, [f64; 4], [f64; 5]) = ("ROS default", [525.0, 525.0, 319.5, 239.5], [0.0; 5]);
+
 /// Returns the published calibration of the camera that the folder's name mentions, else ROS's default.
 fn published_calibration(dir: &Path) -> (Calibration, &'static str) {
     let full = std::fs::canonicalize(dir).unwrap_or_else(|_| dir.to_owned());
     let name = full.file_name().map(|n| n.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let published = |intrinsics, distortion| Calibration { intrinsics, distortion };
-    if name.contains("freiburg1") {
-        let d = [0.2624, -0.9531, -0.0054, 0.0026, 1.1633];
-        (published([517.3, 516.5, 318.6, 255.3], d), "freiburg1")
-    } else if name.contains("freiburg2") {
-        let d = [0.2312, -0.7849, -0.0033, -0.0001, 0.9172];
-        (published([520.9, 521.0, 325.1, 249.7], d), "freiburg2")
-    } else if name.contains("freiburg3") {
-        (published([535.4, 539.2, 320.1, 247.6], [0.0; 5]), "freiburg3")
-    } else {
-        (published([525.0, 525.0, 319.5, 239.5], [0.0; 5]), "ROS default")
-    }
+    let (camera, intrinsics, distortion) =
+        PUBLISHED.into_iter().find(|p| name.contains(p.0)).unwrap_or(DEFAULT);
+    (Calibration { intrinsics, distortion }, camera)
 }
 
 /// Reads `fx fy cx cy [k1 k2 p1 p2 [k3]]` in one row, or a 3 × 3 matrix in three.
@@ -192,18 +184,16 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
         }
     }
     let Some(start) = posed.first().map(|p| p.0) else {
-        return Err(InputError::new(
-            format!(
-                "no frame has colour, depth and pose at the same time ({} colour, {} depth images, {} pairs, {} poses)",
-                colors.len(),
-                depths.len(),
-                pairs.len(),
-                trajectory.len()
-            ),
-            &trajectory_path,
-            "check that the three files use the same clock, or raise max_pair_gap_s and max_pose_gap_s",
-        )
-        .into());
+        let what = format!(
+            "no frame has colour, depth and pose at the same time ({} colour, {} depth images, {} pairs, {} poses)",
+            colors.len(),
+            depths.len(),
+            pairs.len(),
+            trajectory.len()
+        );
+        let cure =
+            "check that the three files use the same clock, or raise max_pair_gap_s and max_pose_gap_s";
+        return Err(InputError::new(what, &trajectory_path, cure).into());
     };
     let dropped = colors.len() - posed.len();
     if dropped > 0 {
@@ -228,28 +218,17 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
             let size = color_size(&color_path)?;
             let depth = depth_size(&depth_path)?;
             if depth != size && !options.depth_same_field_of_view {
-                return Err(InputError::new(
-                    format!(
-                        "the depth image is {} × {} and the colour image {} × {}, with unknown correspondence",
-                        depth.0, depth.1, size.0, size.1
-                    ),
-                    &depth_path,
-                    "register depth to colour, or set depth_same_field_of_view if both show the same field of view",
-                )
-                .into());
+                let cure = "register depth to colour, or set depth_same_field_of_view if both show the same field \
+                            of view";
+                return Err(not_registered(depth, size, &depth_path, cure).into());
             }
             if source.is_none() && size != (640, 480) {
-                return Err(InputError::new(
-                    format!("the image is {} × {}, for which no calibration is known", size.0, size.1),
-                    &color_path,
-                    "write `fx fy cx cy k1 k2 p1 p2 k3` to intrinsics.txt in the recording's folder",
-                )
-                .into());
+                let what = format!("the image is {} × {}, for which no calibration is known", size.0, size.1);
+                let cure = "write `fx fy cx cy k1 k2 p1 p2 k3` to intrinsics.txt in the recording's folder";
+                return Err(InputError::new(what, &color_path, cure).into());
             }
-            let [fx, fy, cx, cy] = calibration.intrinsics;
-            let shift = 0.5 - pixel_center;
-            let intrinsics = Intrinsics { width: size.0, height: size.1, fx, fy, cx: cx + shift, cy: cy + shift };
-            check_intrinsics(&intrinsics, source.as_deref().unwrap_or(dir))?;
+            let file = source.as_deref().unwrap_or(dir);
+            let intrinsics = checked_intrinsics(size, calibration.intrinsics, 0.5 - pixel_center, file)?;
             let color_lens = Lens { intrinsics, distortion: Distortion::from_opencv(calibration.distortion) };
             let depth_lens = Lens { intrinsics: intrinsics.scaled_to(depth.0, depth.1), ..color_lens };
             Ok(RecordedFrame {

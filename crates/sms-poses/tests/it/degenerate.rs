@@ -1,10 +1,11 @@
 //! Input that does not determine the poses.
 
 use crate::common::{bare_floor, billiards, disturbed, poses, sequence};
+use crate::compare::compare_poses;
 use glamx::{DQuat, DVec3};
 use sms_core::{Cancel, CoreError, Image, StageContext, Warnings};
 use sms_frames::Sequence;
-use sms_poses::{PoseRefinement, PoseVerdict, PosesConfig, PosesMode, compare_poses, refine_poses};
+use sms_poses::{PoseRefinement, PoseVerdict, PosesConfig, PosesMode, refine_poses};
 
 fn refine(sequence: &Sequence) -> (PoseRefinement, Vec<String>) {
     let config = PosesConfig { mode: PosesMode::On, ..PosesConfig::default() };

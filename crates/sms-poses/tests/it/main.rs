@@ -1,5 +1,6 @@
 //! Integration tests.
 
 mod common;
+mod compare;
 mod degenerate;
 mod recovery;

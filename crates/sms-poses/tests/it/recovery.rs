@@ -1,11 +1,12 @@
 //! Known perturbations are recovered, and good poses are kept.
 
 use crate::common::{billiards, disturbed, poses};
+use crate::compare::compare_poses;
+use glamx::{DPose3, DQuat, DVec3};
+use proptest::prelude::*;
 use sms_core::{Cancel, StageContext, Warnings};
 use sms_frames::Sequence;
-use sms_poses::{
-    PoseRefinement, PoseVerdict, PosesConfig, PosesMode, align_rigidly, compare_poses, refine_poses,
-};
+use sms_poses::{PoseRefinement, PoseVerdict, PosesConfig, PosesMode, align_rigidly, refine_poses};
 
 fn refine(sequence: &Sequence, mode: PosesMode) -> PoseRefinement {
     let config = PosesConfig { mode, ..PosesConfig::default() };
@@ -59,7 +60,7 @@ fn the_scene_stays_where_it_was_given() {
     let given = disturbed(&billiards(1, 20), 0.010, 0.5);
     let result = refine(&given, PosesMode::On);
     // No common rigid motion moves the measured points closer to their positions under the given poses.
-    let points = |s: &Sequence| -> Vec<glamx::DVec3> {
+    let points = |s: &Sequence| -> Vec<DVec3> {
         let all = s.frames.iter().flat_map(|f| {
             (0..f.depth.data.len()).step_by(37).filter(|&i| f.depth.data[i] > 0.0).map(|i| {
                 let (x, y) = (i % f.depth.width, i / f.depth.width);
@@ -70,8 +71,7 @@ fn the_scene_stays_where_it_was_given() {
     };
     let moved = align_rigidly(&points(&result.sequence), &points(&given));
     assert!(
-        moved.transform_point(glamx::DVec3::new(0.5, 0.0, 0.0)).distance(glamx::DVec3::new(0.5, 0.0, 0.0))
-            < 5e-4,
+        moved.transform_point(DVec3::new(0.5, 0.0, 0.0)).distance(DVec3::new(0.5, 0.0, 0.0)) < 5e-4,
         "{moved:?}"
     );
     assert!(moved.rotation.to_scaled_axis().length() < 1e-3, "{moved:?}");
@@ -91,4 +91,25 @@ fn results_do_not_depend_on_the_number_of_threads() {
     let (one, three) = (with(1), with(3));
     assert_eq!(poses(&one.sequence), poses(&three.sequence));
     assert_eq!(one.report, three.report);
+}
+
+proptest! {
+    #[test]
+    fn a_common_motion_is_no_error(
+        turn in prop::array::uniform3(-0.5..0.5f64), shift in prop::array::uniform3(-1.0..1.0f64)
+    ) {
+        let truth: Vec<DPose3> = (0..7)
+            .map(|i| {
+                let angle = i as f64 * 0.6;
+                DPose3::from_parts(
+                    DVec3::new(angle.cos(), angle.sin(), 0.3 + 0.05 * angle),
+                    DQuat::from_rotation_z(angle) * DQuat::from_rotation_x(2.0),
+                )
+            })
+            .collect();
+        let x = DPose3::from_parts(DVec3::from_array(shift), DQuat::from_scaled_axis(DVec3::from_array(turn)));
+        let given: Vec<DPose3> = truth.iter().map(|t| x * *t).collect();
+        let errors = compare_poses(&given, &truth, AT_M);
+        prop_assert!(errors.point_rms_m < 1e-9 && errors.rotation_rms_rad < 1e-7, "{errors:?}");
+    }
 }

@@ -1,55 +1,67 @@
 //! Assets before they are placed: shape, class, material and texture in the asset frame.
 
 use crate::shapes::PartedSolid;
-use crate::texture::{Pattern, Texture};
-use rand::RngExt;
-use sms_core::{Mesh, StageRng};
+use crate::texture::Texture;
+use sms_core::Mesh;
 
 /// Facets around a turned object.
 pub(super) const SEGMENTS: usize = 32;
 
 /// An asset in its frame `A`: standing on z = 0, axis at x = y = 0.
 #[derive(Debug, Clone)]
-pub(super) struct AssetBlueprint {
-    pub(super) name: &'static str,
-    pub(super) class: &'static str,
-    pub(super) material: &'static str,
-    pub(super) solid: PartedSolid,
+pub struct AssetBlueprint {
+    /// Name, usable as a file name.
+    pub name: &'static str,
+    /// Description ("ceramic mug").
+    pub class: &'static str,
+    /// Key of the table of true materials.
+    pub material: &'static str,
+    /// Surface and convex pieces.
+    pub solid: PartedSolid,
     /// The air inside a closed shell.
-    pub(super) void: Option<Mesh>,
-    pub(super) hollow: HollowKind,
-    pub(super) sphere_radius: Option<f64>,
-    pub(super) texture: Texture,
+    pub void: Option<Mesh>,
+    /// Interior of the surface.
+    pub hollow: HollowKind,
+    /// Radius in metres if the asset is exactly a sphere.
+    pub sphere_radius: Option<f64>,
+    /// Surface appearance.
+    pub texture: Texture,
 }
 
 /// [`Hollow`](crate::Hollow) without the density of the wall.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum HollowKind {
+pub enum HollowKind {
+    /// Solid material.
     Solid,
-    /// Wall thickness, metres.
+    /// An open vessel with this wall thickness, metres.
     Vessel(f64),
-    /// Wall thickness, metres.
+    /// A closed shell with this wall thickness, metres.
     Shell(f64),
 }
 
-/// A texture without metal or spots; its noise seed is drawn.
-pub(super) fn texture(
-    rng: &mut StageRng,
-    pattern: Pattern,
-    colors: ([u8; 3], [u8; 3]),
-    scale_m: f32,
-    gloss: f32,
-) -> Texture {
-    let seed = rng.random::<u32>();
-    Texture {
-        pattern,
-        color: colors.0,
-        accent: colors.1,
-        scale_m,
-        seed,
-        gloss,
-        metalness: 0.0,
-        spots: Vec::new(),
+impl AssetBlueprint {
+    /// Creates a solid asset that is no sphere.
+    pub fn new(
+        name: &'static str,
+        class: &'static str,
+        material: &'static str,
+        solid: PartedSolid,
+        texture: Texture,
+    ) -> Self {
+        let hollow = HollowKind::Solid;
+        Self { name, class, material, solid, void: None, hollow, sphere_radius: None, texture }
+    }
+
+    /// Makes the asset a closed shell of this thickness (metres) around air.
+    #[must_use]
+    pub fn around(self, void: Mesh, wall_m: f64) -> Self {
+        Self { void: Some(void), hollow: HollowKind::Shell(wall_m), ..self }
+    }
+
+    /// Makes the asset an open vessel with walls of this thickness (metres).
+    #[must_use]
+    pub fn open(self, wall_m: f64) -> Self {
+        Self { hollow: HollowKind::Vessel(wall_m), ..self }
     }
 }
 

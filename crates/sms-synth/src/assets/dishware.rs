@@ -1,9 +1,9 @@
 //! Turned dishware: vessels with true walls and cavities, and a bottle.
 
-use super::blueprint::{AssetBlueprint, HollowKind, SEGMENTS, texture};
+use super::blueprint::{AssetBlueprint, SEGMENTS};
 use crate::random::{pick, uniform};
 use crate::shapes::{Handle, lathe_solid, lathe_vessel};
-use crate::texture::{Pattern, Spot};
+use crate::texture::{Pattern, Spot, Texture};
 use glamx::DVec2;
 use sms_core::StageRng;
 
@@ -42,16 +42,9 @@ pub(super) fn bowl(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     }
     inner[0].1 = outer[1].1;
     let glaze = pick(rng, &GLAZES);
-    AssetBlueprint {
-        name: "bowl",
-        class: "ceramic bowl",
-        material: "ceramic",
-        solid: lathe_vessel(&outer, &inner, VESSEL_SEGMENTS, None),
-        void: None,
-        hollow: HollowKind::Vessel(wall),
-        sphere_radius: None,
-        texture: texture(rng, Pattern::Bands, glaze, 0.022, 0.8),
-    }
+    let solid = lathe_vessel(&outer, &inner, VESSEL_SEGMENTS, None);
+    let texture = Texture::drawn(rng, Pattern::Bands, glaze, 0.022, 0.8);
+    AssetBlueprint::new("bowl", "ceramic bowl", "ceramic", solid, texture).open(wall)
 }
 
 pub(super) fn plate(rng: &mut StageRng, size: f64) -> AssetBlueprint {
@@ -60,16 +53,9 @@ pub(super) fn plate(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let outer = [(0.58 * rim, 0.0), (0.64 * rim, floor), (0.84 * rim, 0.62 * height), (rim, height)];
     let inner = [(0.50 * rim, floor), (0.82 * rim, 0.62 * height + wall), (rim - 0.002, height + 0.8 * wall)];
     let glaze = pick(rng, &GLAZES);
-    AssetBlueprint {
-        name: "plate",
-        class: "ceramic plate",
-        material: "ceramic",
-        solid: lathe_vessel(&outer, &inner, VESSEL_SEGMENTS, None),
-        void: None,
-        hollow: HollowKind::Vessel(wall),
-        sphere_radius: None,
-        texture: texture(rng, Pattern::Bands, glaze, 0.008, 0.8),
-    }
+    let solid = lathe_vessel(&outer, &inner, VESSEL_SEGMENTS, None);
+    let texture = Texture::drawn(rng, Pattern::Bands, glaze, 0.008, 0.8);
+    AssetBlueprint::new("plate", "ceramic plate", "ceramic", solid, texture).open(wall)
 }
 
 pub(super) fn mug(rng: &mut StageRng, size: f64) -> AssetBlueprint {
@@ -86,16 +72,9 @@ pub(super) fn mug(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     inner.push((radius - wall + 0.001, height));
     let handle = Handle { low_band: 2, high_band: 4, reach: uniform(rng, [0.026, 0.032]), thickness: 0.0085 };
     let glaze = pick(rng, &GLAZES);
-    AssetBlueprint {
-        name: "mug",
-        class: "ceramic mug",
-        material: "ceramic",
-        solid: lathe_vessel(&outer, &inner, VESSEL_SEGMENTS, Some(handle)),
-        void: None,
-        hollow: HollowKind::Vessel(wall),
-        sphere_radius: None,
-        texture: texture(rng, Pattern::Bands, glaze, (height / 2.6) as f32, 0.8),
-    }
+    let solid = lathe_vessel(&outer, &inner, VESSEL_SEGMENTS, Some(handle));
+    let texture = Texture::drawn(rng, Pattern::Bands, glaze, (height / 2.6) as f32, 0.8);
+    AssetBlueprint::new("mug", "ceramic mug", "ceramic", solid, texture).open(wall)
 }
 
 pub(super) fn vase(rng: &mut StageRng, size: f64) -> AssetBlueprint {
@@ -119,16 +98,9 @@ pub(super) fn vase(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     outer[0].0 = outer[1].0 - 0.003;
     let glaze = pick(rng, &GLAZES);
     let pattern = pick(rng, &[Pattern::Bands, Pattern::Marble]);
-    AssetBlueprint {
-        name: "vase",
-        class: "ceramic vase",
-        material: "ceramic",
-        solid: lathe_vessel(&outer, &inner, VESSEL_SEGMENTS, None),
-        void: None,
-        hollow: HollowKind::Vessel(wall),
-        sphere_radius: None,
-        texture: texture(rng, pattern, glaze, 0.03, 0.8),
-    }
+    let solid = lathe_vessel(&outer, &inner, VESSEL_SEGMENTS, None);
+    let texture = Texture::drawn(rng, pattern, glaze, 0.03, 0.8);
+    AssetBlueprint::new("vase", "ceramic vase", "ceramic", solid, texture).open(wall)
 }
 
 /// A full food can: content and steel are one substance of their mean density.
@@ -149,16 +121,8 @@ pub(super) fn can(rng: &mut StageRng, size: f64) -> AssetBlueprint {
         rng,
         &[([190, 36, 34], [236, 232, 222]), ([42, 96, 60], [240, 220, 150]), ([40, 74, 130], [232, 200, 60])],
     );
-    AssetBlueprint {
-        name: "can",
-        class: "food can",
-        material: "full_can",
-        solid: lathe_solid(&profile, SEGMENTS),
-        void: None,
-        hollow: HollowKind::Solid,
-        sphere_radius: None,
-        texture: texture(rng, Pattern::Bands, colors, (0.35 * height) as f32, 0.55),
-    }
+    let texture = Texture::drawn(rng, Pattern::Bands, colors, (0.35 * height) as f32, 0.55);
+    AssetBlueprint::new("can", "food can", "full_can", lathe_solid(&profile, SEGMENTS), texture)
 }
 
 pub(super) fn bottle(rng: &mut StageRng, size: f64) -> AssetBlueprint {
@@ -190,7 +154,7 @@ pub(super) fn bottle(rng: &mut StageRng, size: f64) -> AssetBlueprint {
             ([178, 40, 92], [240, 236, 236]),
         ],
     );
-    let mut texture = texture(rng, Pattern::Bands, colors, 0.05, 0.65);
+    let mut texture = Texture::drawn(rng, Pattern::Bands, colors, 0.05, 0.65);
     let cap_color = [40, 44, 60];
     let cap_height = (0.08 * height) as f32;
     texture.spots.push(Spot {
@@ -204,14 +168,6 @@ pub(super) fn bottle(rng: &mut StageRng, size: f64) -> AssetBlueprint {
         radii: [radius as f32 * 0.9, radius as f32 * 0.8, (0.17 * height) as f32],
         color: colors.1,
     });
-    AssetBlueprint {
-        name: "bottle",
-        class: "plastic bottle",
-        material: "plastic",
-        solid: lathe_solid(&profile, SEGMENTS),
-        void: Some(lathe_solid(&void, SEGMENTS).mesh),
-        hollow: HollowKind::Shell(wall),
-        sphere_radius: None,
-        texture,
-    }
+    AssetBlueprint::new("bottle", "plastic bottle", "plastic", lathe_solid(&profile, SEGMENTS), texture)
+        .around(lathe_solid(&void, SEGMENTS).mesh, wall)
 }

@@ -1,10 +1,9 @@
 //! Statues and toys.
 
-use super::blueprint::{AssetBlueprint, HollowKind, SEGMENTS, brass, texture};
+use super::blueprint::{AssetBlueprint, SEGMENTS, brass};
 use crate::random::{pick, uniform};
-use crate::shapes::{Cuboid, Ellipsoid, cuboid_union, ellipsoid_union, lathe_solid};
-use crate::texture::{Pattern, Spot};
-use glamx::DVec3;
+use crate::shapes::{Ellipsoid, between, cuboid_union, ellipsoid_union, lathe_solid};
+use crate::texture::{Pattern, Spot, Texture};
 use sms_core::StageRng;
 
 /// Mesh size of figures made of ellipsoids; at 5 mm chords lie 0.2 mm below a surface of 15 mm radius.
@@ -40,21 +39,14 @@ pub(super) fn turned_statue(rng: &mut StageRng, size: f64, of_brass: bool) -> As
     }
     let (name, class, material, texture) = if of_brass {
         let colors = ([222, 182, 102], [176, 132, 64]);
-        ("brass_statue", "brass statue", "brass", brass(texture(rng, Pattern::Marble, colors, 0.035, 0.9)))
+        let texture = brass(Texture::drawn(rng, Pattern::Marble, colors, 0.035, 0.9));
+        ("brass_statue", "brass statue", "brass", texture)
     } else {
         let colors = pick(rng, &[([222, 220, 214], [110, 112, 122]), ([90, 112, 98], [206, 214, 200])]);
-        ("marble_statue", "marble statue", "marble", texture(rng, Pattern::Marble, colors, 0.025, 0.72))
+        let texture = Texture::drawn(rng, Pattern::Marble, colors, 0.025, 0.72);
+        ("marble_statue", "marble statue", "marble", texture)
     };
-    AssetBlueprint {
-        name,
-        class,
-        material,
-        solid: lathe_solid(&profile, SEGMENTS),
-        void: None,
-        hollow: HollowKind::Solid,
-        sphere_radius: None,
-        texture,
-    }
+    AssetBlueprint::new(name, class, material, lathe_solid(&profile, SEGMENTS), texture)
 }
 
 fn scaled(blobs: &[([f64; 3], [f64; 3])], s: f64) -> Vec<Ellipsoid> {
@@ -84,7 +76,7 @@ pub(super) fn toy_duck(rng: &mut StageRng, size: f64) -> AssetBlueprint {
         ],
         s,
     );
-    let mut texture = texture(rng, Pattern::Plain, ([240, 196, 36], [220, 160, 20]), 0.018, 0.45);
+    let mut texture = Texture::drawn(rng, Pattern::Plain, ([240, 196, 36], [220, 160, 20]), 0.018, 0.45);
     texture.spots = spots(
         &[
             ([0.050, 0.017, 0.090], [0.007, 0.007, 0.007], [16, 16, 20]),
@@ -93,16 +85,7 @@ pub(super) fn toy_duck(rng: &mut StageRng, size: f64) -> AssetBlueprint {
         ],
         s,
     );
-    AssetBlueprint {
-        name: "toy_duck",
-        class: "rubber duck",
-        material: "rubber",
-        solid: ellipsoid_union(&blobs, FIGURE_CELL_M),
-        void: None,
-        hollow: HollowKind::Solid,
-        sphere_radius: None,
-        texture,
-    }
+    AssetBlueprint::new("toy_duck", "rubber duck", "rubber", ellipsoid_union(&blobs, FIGURE_CELL_M), texture)
 }
 
 pub(super) fn ceramic_bear(rng: &mut StageRng, size: f64) -> AssetBlueprint {
@@ -122,7 +105,7 @@ pub(super) fn ceramic_bear(rng: &mut StageRng, size: f64) -> AssetBlueprint {
         s,
     );
     let colors = pick(rng, &[([150, 96, 60], [110, 66, 38]), ([96, 140, 176], [60, 96, 130])]);
-    let mut texture = texture(rng, Pattern::Speckle, colors, 0.010, 0.78);
+    let mut texture = Texture::drawn(rng, Pattern::Speckle, colors, 0.010, 0.78);
     texture.spots = spots(
         &[
             ([0.044, 0.0, 0.096], [0.006, 0.006, 0.005], [24, 18, 18]),
@@ -133,16 +116,13 @@ pub(super) fn ceramic_bear(rng: &mut StageRng, size: f64) -> AssetBlueprint {
         ],
         s,
     );
-    AssetBlueprint {
-        name: "ceramic_bear",
-        class: "ceramic bear",
-        material: "ceramic",
-        solid: ellipsoid_union(&blobs, FIGURE_CELL_M),
-        void: None,
-        hollow: HollowKind::Solid,
-        sphere_radius: None,
+    AssetBlueprint::new(
+        "ceramic_bear",
+        "ceramic bear",
+        "ceramic",
+        ellipsoid_union(&blobs, FIGURE_CELL_M),
         texture,
-    }
+    )
 }
 
 /// A figure that sits with crossed legs, its hands in its lap.
@@ -162,22 +142,14 @@ pub(super) fn seated_statue(rng: &mut StageRng, size: f64) -> AssetBlueprint {
         s,
     );
     let colors = pick(rng, &[([214, 212, 204], [150, 148, 150]), ([112, 128, 116], [190, 200, 188])]);
-    AssetBlueprint {
-        name: "seated_statue",
-        class: "marble statue",
-        material: "marble",
-        solid: ellipsoid_union(&blobs, FIGURE_CELL_M),
-        void: None,
-        hollow: HollowKind::Solid,
-        sphere_radius: None,
-        texture: texture(rng, Pattern::Marble, colors, 0.03, 0.72),
-    }
+    let solid = ellipsoid_union(&blobs, FIGURE_CELL_M);
+    let texture = Texture::drawn(rng, Pattern::Marble, colors, 0.03, 0.72);
+    AssetBlueprint::new("seated_statue", "marble statue", "marble", solid, texture)
 }
 
 pub(super) fn toy_robot(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let s = uniform(rng, [0.9, 1.15]) * size;
-    let block =
-        |min: [f64; 3], max: [f64; 3]| Cuboid::new(DVec3::from_array(min) * s, DVec3::from_array(max) * s);
+    let block = |min: [f64; 3], max: [f64; 3]| between(min.map(|v| v * s), max.map(|v| v * s));
     let boxes = [
         block([-0.022, -0.034, 0.0], [0.030, -0.008, 0.036]),
         block([-0.022, 0.008, 0.0], [0.030, 0.034, 0.036]),
@@ -190,7 +162,7 @@ pub(super) fn toy_robot(rng: &mut StageRng, size: f64) -> AssetBlueprint {
         rng,
         &[([210, 52, 44], [246, 206, 60]), ([44, 150, 88], [240, 240, 236]), ([230, 120, 30], [40, 60, 120])],
     );
-    let mut texture = texture(rng, Pattern::Plain, colors, 0.02, 0.6);
+    let mut texture = Texture::drawn(rng, Pattern::Plain, colors, 0.02, 0.6);
     texture.spots = spots(
         &[
             ([0.020, 0.010, 0.110], [0.004, 0.006, 0.006], [20, 24, 34]),
@@ -204,14 +176,5 @@ pub(super) fn toy_robot(rng: &mut StageRng, size: f64) -> AssetBlueprint {
         ],
         s,
     );
-    AssetBlueprint {
-        name: "toy_robot",
-        class: "plastic toy robot",
-        material: "plastic",
-        solid: cuboid_union(&boxes, 0.008),
-        void: None,
-        hollow: HollowKind::Solid,
-        sphere_radius: None,
-        texture,
-    }
+    AssetBlueprint::new("toy_robot", "plastic toy robot", "plastic", cuboid_union(&boxes, 0.008), texture)
 }

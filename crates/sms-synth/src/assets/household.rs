@@ -10,12 +10,12 @@
 //! - box: flat, of double-wall corrugated board of 6.5 mm (B and C flute). About 0.9 kg.
 //! - board: a shelf of 90 × 40 cm, 12 mm thick. About 2.7 kg.
 
-use super::blueprint::{AssetBlueprint, HollowKind, brass, texture};
+use super::blueprint::{AssetBlueprint, brass};
 use crate::random::{pick, uniform};
-use crate::shapes::{Cuboid, PartedSolid, chamfered_cuboid, cuboid_union, gridded_cuboid};
-use crate::texture::{Pattern, Spot};
+use crate::shapes::{PartedSolid, between, chamfered_cuboid, cuboid_union, gridded_cuboid, surface};
+use crate::texture::{Pattern, Spot, Texture};
 use glamx::{DVec2, DVec3};
-use sms_core::{Mesh, StageRng};
+use sms_core::{Aabb, Mesh, StageRng};
 
 /// The kinds of objects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -77,49 +77,19 @@ pub(super) fn blueprint(kind: Household, spread: f64, rng: &mut StageRng) -> Ass
         Household::Board => {
             let size = size([0.90, 0.40, 0.012]);
             let wood = pick(rng, &WOODS);
-            let look = texture(rng, Pattern::Wood, wood, 0.03, 0.15);
-            let solid = gridded_cuboid(size, CELL_M);
-            let hollow = HollowKind::Solid;
-            AssetBlueprint {
-                name: "board",
-                class: "wooden board",
-                material: "wood",
-                solid,
-                void: None,
-                hollow,
-                sphere_radius: None,
-                texture: look,
-            }
+            let look = Texture::drawn(rng, Pattern::Wood, wood, 0.03, 0.15);
+            AssetBlueprint::new(kind.as_str(), "wooden board", "wood", gridded_cuboid(size, CELL_M), look)
         }
         Household::BrassBar => {
-            let size = size([0.05, 0.15, 0.06]);
-            let look = texture(rng, Pattern::Marble, ([226, 188, 108], [190, 146, 74]), 0.04, 0.9);
-            ballast("brass_bar", "brass bar", "brass", size, brass(look))
+            let solid = chamfered_cuboid(size([0.05, 0.15, 0.06]), 0.002);
+            let look = Texture::drawn(rng, Pattern::Marble, ([226, 188, 108], [190, 146, 74]), 0.04, 0.9);
+            AssetBlueprint::new(kind.as_str(), "brass bar", "brass", solid, brass(look))
         }
         Household::MarbleSlab => {
-            let size = size([0.08, 0.28, 0.05]);
-            let look = texture(rng, Pattern::Marble, ([222, 220, 214], [110, 112, 118]), 0.05, 0.5);
-            ballast("marble_slab", "marble slab", "marble", size, look)
+            let solid = chamfered_cuboid(size([0.08, 0.28, 0.05]), 0.002);
+            let look = Texture::drawn(rng, Pattern::Marble, ([222, 220, 214], [110, 112, 118]), 0.05, 0.5);
+            AssetBlueprint::new(kind.as_str(), "marble slab", "marble", solid, look)
         }
-    }
-}
-
-fn ballast(
-    name: &'static str,
-    class: &'static str,
-    material: &'static str,
-    size: DVec3,
-    texture: crate::texture::Texture,
-) -> AssetBlueprint {
-    AssetBlueprint {
-        name,
-        class,
-        material,
-        solid: chamfered_cuboid(size, 0.002),
-        void: None,
-        hollow: HollowKind::Solid,
-        sphere_radius: None,
-        texture,
     }
 }
 
@@ -131,7 +101,7 @@ fn step_ladder(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
     let rail = DVec2::new(0.045, 0.025);
     let (rx, ry) = (x - 0.005, y - rail.y);
     let middle = 0.25 * size.x - 0.035;
-    let mut hollow = vec![Cuboid::new(DVec3::new(-x, -y, under), DVec3::new(x, y, height))];
+    let mut hollow = vec![between([-x, -y, under], [x, y, height])];
     let mut massive = Vec::new();
     for side in [-1.0, 1.0] {
         for end in [-1.0, 1.0] {
@@ -146,15 +116,14 @@ fn step_ladder(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
     }
     for step in [1.0 / 3.0, 2.0 / 3.0] {
         let z = step * height;
-        hollow.push(Cuboid::new(DVec3::new(middle, -ry, z - 0.028), DVec3::new(rx, ry, z)));
-        massive
-            .push(Cuboid::new(DVec3::new(-rx + 0.012, -ry, z - 0.03), DVec3::new(-rx + 0.032, ry, z - 0.01)));
+        hollow.push(between([middle, -ry, z - 0.028], [rx, ry, z]));
+        massive.push(between([-rx + 0.012, -ry, z - 0.03], [-rx + 0.032, ry, z - 0.01]));
     }
     let spread = Splay { below: under, inner: DVec2::new(middle, ry), slope: DVec2::new(0.32, 0.085) };
-    let boxes: Vec<Cuboid> = hollow.iter().chain(&massive).copied().collect();
+    let boxes: Vec<Aabb> = hollow.iter().chain(&massive).copied().collect();
     let solid = spread.solid(cuboid_union(&boxes, CELL_M));
     let void = spread.mesh(voids(&hollow, ALUMINIUM_WALL_M));
-    let mut look = texture(rng, Pattern::Plain, ([204, 207, 210], [150, 154, 158]), 0.05, 0.45);
+    let mut look = Texture::drawn(rng, Pattern::Plain, ([204, 207, 210], [150, 154, 158]), 0.05, 0.45);
     // Black ribbed pads on the treads and the platform, black feet.
     let pad = |x: f64, z: f64, rx: f64| Spot {
         center: [x as f32, 0.0, z as f32],
@@ -171,16 +140,9 @@ fn step_ladder(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
         let center = [(sx * foot.x) as f32, (sy * foot.y) as f32, 0.0];
         look.spots.push(Spot { center, radii: [0.06, 0.06, 0.035], color: [30, 30, 32] });
     }
-    AssetBlueprint {
-        name: Household::StepLadder.as_str(),
-        class: "aluminium step ladder",
-        material: "aluminium",
-        solid,
-        void: Some(void),
-        hollow: HollowKind::Shell(ALUMINIUM_WALL_M),
-        sphere_radius: None,
-        texture: look,
-    }
+    let name = Household::StepLadder.as_str();
+    AssetBlueprint::new(name, "aluminium step ladder", "aluminium", solid, look)
+        .around(void, ALUMINIUM_WALL_M)
 }
 
 /// A wooden stool with splayed legs and rungs; `size` is that of the seat, z the height of its top.
@@ -191,7 +153,7 @@ fn stool(name: &'static str, size: DVec3, slope: f64, rng: &mut StageRng) -> Ass
     let outer = DVec2::new(x - inset, y - inset);
     let inner = outer - DVec2::splat(leg);
     let middle = 0.5 * (outer + inner);
-    let mut boxes = vec![Cuboid::new(DVec3::new(-x, -y, under), DVec3::new(x, y, height))];
+    let mut boxes = vec![between([-x, -y, under], [x, y, height])];
     for side in [-1.0, 1.0] {
         for end in [-1.0, 1.0] {
             boxes.push(between([end * outer.x, side * outer.y, 0.0], [end * inner.x, side * inner.y, under]));
@@ -204,16 +166,14 @@ fn stool(name: &'static str, size: DVec3, slope: f64, rng: &mut StageRng) -> Ass
     }
     let spread = Splay { below: under, inner, slope: DVec2::splat(slope) };
     let wood = pick(rng, &WOODS);
-    AssetBlueprint {
+    let solid = spread.solid(cuboid_union(&boxes, CELL_M));
+    AssetBlueprint::new(
         name,
-        class: "wooden stool",
-        material: "wood",
-        solid: spread.solid(cuboid_union(&boxes, CELL_M)),
-        void: None,
-        hollow: HollowKind::Solid,
-        sphere_radius: None,
-        texture: texture(rng, Pattern::Wood, wood, 0.03, 0.2),
-    }
+        "wooden stool",
+        "wood",
+        solid,
+        Texture::drawn(rng, Pattern::Wood, wood, 0.03, 0.2),
+    )
 }
 
 /// An open bin with a rim around its top; `size` is that of the rim, z the height. Towards the floor it is narrower.
@@ -221,7 +181,7 @@ fn recycling_bin(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
     let wall = PLASTIC_WALL_M;
     let rim = DVec2::new(0.012, 0.03);
     let (x, y, z) = (0.5 * size.x - rim.x, 0.5 * size.y - rim.x, size.z);
-    let mut boxes = vec![Cuboid::new(DVec3::new(-x, -y, 0.0), DVec3::new(x, y, wall))];
+    let mut boxes = vec![between([-x, -y, 0.0], [x, y, wall])];
     let mut ring = |x: f64, y: f64, thickness: f64, low: f64| {
         for side in [-1.0, 1.0] {
             boxes.push(between([side * (x - thickness), -y, low], [side * x, y, z]));
@@ -238,7 +198,7 @@ fn recycling_bin(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
     };
     solid.mesh.vertices.iter_mut().for_each(narrow);
     solid.parts.iter_mut().flat_map(|p| p.vertices.iter_mut()).for_each(narrow);
-    let mut look = texture(rng, Pattern::Plain, ([30, 84, 168], [24, 66, 140]), 0.05, 0.3);
+    let mut look = Texture::drawn(rng, Pattern::Plain, ([30, 84, 168], [24, 66, 140]), 0.05, 0.3);
     // The recycling sign, in dots: three arrows around a triangle, on both broad sides.
     let (center, radius, dot) = (0.56 * z, 0.085, 0.0125f32);
     for side in [-1.0, 1.0] {
@@ -254,79 +214,53 @@ fn recycling_bin(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
             }
         }
     }
-    AssetBlueprint {
-        name: Household::RecyclingBin.as_str(),
-        class: "plastic recycling bin",
-        material: "plastic",
-        solid,
-        void: None,
-        hollow: HollowKind::Vessel(wall),
-        sphere_radius: None,
-        texture: look,
-    }
+    let name = Household::RecyclingBin.as_str();
+    AssetBlueprint::new(name, "plastic recycling bin", "plastic", solid, look).open(wall)
 }
 
 fn flat_box(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
     let board = pick(rng, &[[186, 140, 92], [172, 126, 82], [198, 156, 106]]);
     let half = 0.5 * size;
-    let whole = [Cuboid::new(DVec3::new(-half.x, -half.y, 0.0), DVec3::new(half.x, half.y, size.z))];
-    AssetBlueprint {
-        name: Household::FlatBox.as_str(),
-        class: "cardboard box",
-        material: "cardboard",
-        solid: cuboid_union(&whole, CELL_M),
-        void: Some(voids(&whole, BOARD_WALL_M)),
-        hollow: HollowKind::Shell(BOARD_WALL_M),
-        sphere_radius: None,
-        texture: texture(rng, Pattern::Cardboard, (board, [70, 46, 30]), 0.3 * size.z as f32, 0.05),
-    }
+    let whole = [between([-half.x, -half.y, 0.0], [half.x, half.y, size.z])];
+    let look = Texture::drawn(rng, Pattern::Cardboard, (board, [70, 46, 30]), 0.3 * size.z as f32, 0.05);
+    let name = Household::FlatBox.as_str();
+    AssetBlueprint::new(name, "cardboard box", "cardboard", cuboid_union(&whole, CELL_M), look)
+        .around(voids(&whole, BOARD_WALL_M), BOARD_WALL_M)
 }
 
 /// A closed container: `size` without the lid, which sits on top and juts out a little. Towards the bottom it is narrower.
 fn lidded_tote(size: DVec3, rng: &mut StageRng) -> AssetBlueprint {
     let (lid, rim) = (0.018, 0.006);
     let (x, y, z) = (0.5 * size.x - rim, 0.5 * size.y - rim, size.z);
-    let body = Cuboid::new(DVec3::new(-x, -y, 0.0), DVec3::new(x, y, z));
-    let cover = Cuboid::new(DVec3::new(-x - rim, -y - rim, z), DVec3::new(x + rim, y + rim, z + lid));
+    let body = between([-x, -y, 0.0], [x, y, z]);
+    let cover = between([-x - rim, -y - rim, z], [x + rim, y + rim, z + lid]);
     // The air of body and lid is connected.
     let wall = DVec3::splat(PLASTIC_WALL_M);
     let air = [
-        Cuboid::new(body.min + wall, body.max - wall.with_z(0.0)),
-        Cuboid::new((body.min + wall).with_z(z), (body.max - wall).with_z(z + lid - wall.z)),
+        Aabb { min: body.min + wall, max: body.max - wall.with_z(0.0) },
+        Aabb { min: (body.min + wall).with_z(z), max: (body.max - wall).with_z(z + lid - wall.z) },
     ];
     let narrowing = Splay { below: z, inner: DVec2::new(x, y), slope: DVec2::splat(-0.06) };
     let plastic = pick(rng, &PLASTICS);
-    AssetBlueprint {
-        name: Household::LiddedTote.as_str(),
-        class: "plastic tote",
-        material: "plastic",
-        solid: narrowing.solid(cuboid_union(&[body, cover], CELL_M)),
-        void: Some(narrowing.mesh(joined(&air))),
-        hollow: HollowKind::Shell(PLASTIC_WALL_M),
-        sphere_radius: None,
-        texture: texture(rng, Pattern::Plain, (plastic, plastic), 0.03, 0.3),
-    }
-}
-
-/// The box between two opposite corners.
-fn between(a: [f64; 3], b: [f64; 3]) -> Cuboid {
-    let (a, b) = (DVec3::from(a), DVec3::from(b));
-    Cuboid::new(a.min(b), a.max(b))
+    let solid = narrowing.solid(cuboid_union(&[body, cover], CELL_M));
+    let look = Texture::drawn(rng, Pattern::Plain, (plastic, plastic), 0.03, 0.3);
+    AssetBlueprint::new(Household::LiddedTote.as_str(), "plastic tote", "plastic", solid, look)
+        .around(narrowing.mesh(joined(&air)), PLASTIC_WALL_M)
 }
 
 /// Returns the air inside boxes with walls of this thickness.
-fn voids(boxes: &[Cuboid], wall: f64) -> Mesh {
+fn voids(boxes: &[Aabb], wall: f64) -> Mesh {
     let wall = DVec3::splat(wall);
-    joined(&boxes.iter().map(|b| Cuboid::new(b.min + wall, b.max - wall)).collect::<Vec<_>>())
+    joined(&boxes.iter().map(|b| Aabb { min: b.min + wall, max: b.max - wall }).collect::<Vec<_>>())
 }
 
 /// Joins boxes to one mesh of several closed pieces.
-fn joined(boxes: &[Cuboid]) -> Mesh {
+fn joined(boxes: &[Aabb]) -> Mesh {
     let mut mesh = Mesh::default();
     for b in boxes {
-        let one = Mesh::cuboid(0.5 * (b.max - b.min));
+        let one = surface(b);
         let first = mesh.vertices.len() as u32;
-        mesh.vertices.extend(one.vertices.iter().map(|v| *v + 0.5 * (b.min + b.max)));
+        mesh.vertices.extend(one.vertices);
         mesh.triangles.extend(one.triangles.iter().map(|t| t.map(|i| i + first)));
     }
     mesh
@@ -385,7 +319,7 @@ mod tests {
             assert!(made.solid.parts.iter().all(Mesh::is_closed_oriented), "{kind:?}");
             let pieces: f64 = made.solid.parts.iter().map(Mesh::volume).sum();
             assert!((pieces / made.solid.mesh.volume() - 1.0).abs() < 1e-9, "{kind:?}");
-            let o = crate::assets::make_household(kind, 0.0, DVec2::ZERO, 0.4, &mut Seed(1).rng());
+            let o = crate::assets::make_household(kind, 0.0, 0.4, Seed(1));
             assert!((low..high).contains(&o.mass.mass()), "{kind:?} weighs {} kg", o.mass.mass());
             assert!(o.aabb_w().min.z.abs() < 1e-9);
         }

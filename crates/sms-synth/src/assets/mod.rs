@@ -3,13 +3,12 @@
 mod blueprint;
 mod dishware;
 mod figures;
-mod furniture;
 mod household;
 
-pub(crate) use furniture::Furniture;
+pub use blueprint::{AssetBlueprint, HollowKind};
 pub(crate) use household::Household;
 
-use self::blueprint::{AssetBlueprint, HollowKind, brass, texture};
+use self::blueprint::brass;
 use crate::materials::{draw_material, with_effective_density};
 use crate::random::{pick, uniform};
 use crate::scene::{Hollow, TruthObject};
@@ -18,7 +17,7 @@ use crate::texture::{Pattern, Spot, Texture};
 use glamx::{DMat3, DPose3, DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{
-    InertiaError, MassProperties, Mesh, StageRng, polyhedron_mass_properties, sphere_mass_properties,
+    InertiaError, MassProperties, Mesh, Seed, StageRng, polyhedron_mass_properties, sphere_mass_properties,
 };
 
 /// Radius of a pool ball, metres (57.15 mm diameter).
@@ -97,14 +96,8 @@ impl AssetKind {
     };
 }
 
-/// Makes an obstacle standing at `p_w` on the floor, turned by `yaw` radians about z.
-pub(crate) fn make_asset(
-    kind: AssetKind,
-    p_w: DVec2,
-    yaw: f64,
-    size: f64,
-    rng: &mut StageRng,
-) -> TruthObject {
+/// Makes an obstacle standing at `p_w` on the floor (metres), turned by `yaw` radians about z; `size` is a factor.
+pub fn make_asset(kind: AssetKind, p_w: DVec2, yaw: f64, size: f64, rng: &mut StageRng) -> TruthObject {
     let blueprint = match kind {
         AssetKind::CardboardBox => cardboard_box(rng, size),
         AssetKind::WoodBlock => wood_block(rng, size),
@@ -124,34 +117,22 @@ pub(crate) fn make_asset(
         AssetKind::SeatedStatue => figures::seated_statue(rng, size),
         AssetKind::PoolBall => pool_ball(rng),
     };
-    place(blueprint, p_w, yaw, rng)
+    blueprint.place(p_w, yaw, rng)
 }
 
-/// Makes a piece of furniture standing at `p_w` on the floor, turned by `yaw` radians about z.
-pub(crate) fn make_furniture(kind: Furniture, p_w: DVec2, yaw: f64, rng: &mut StageRng) -> TruthObject {
-    let blueprint = furniture::blueprint(kind, rng);
-    place(blueprint, p_w, yaw, rng)
+/// Makes a household object standing at the origin, turned by `yaw` radians about z; its sizes differ from the usual ones by
+/// up to the share `spread`.
+pub(crate) fn make_household(kind: Household, spread: f64, yaw: f64, seed: Seed) -> TruthObject {
+    let mut rng = seed.rng();
+    household::blueprint(kind, spread, &mut rng).place(DVec2::ZERO, yaw, &mut rng)
 }
 
-/// Makes a household object standing at `p_w` on the floor, turned by `yaw` radians about z; its sizes differ from the usual
-/// ones by up to the share `spread`.
-pub(crate) fn make_household(
-    kind: Household,
-    spread: f64,
-    p_w: DVec2,
-    yaw: f64,
-    rng: &mut StageRng,
-) -> TruthObject {
-    let blueprint = household::blueprint(kind, spread, rng);
-    place(blueprint, p_w, yaw, rng)
-}
-
-/// The cue ball (white) or the target ball (saturated blue) at `p_w`.
-pub(crate) fn make_pool_ball(cue: bool, p_w: DVec2, rng: &mut StageRng) -> TruthObject {
+/// Makes the cue ball (white) or the target ball (saturated blue) at `p_w` on the floor, metres.
+pub fn make_pool_ball(cue: bool, p_w: DVec2, rng: &mut StageRng) -> TruthObject {
     let colors = if cue { ([238, 236, 226], [214, 206, 184]) } else { ([18, 48, 190], [40, 96, 235]) };
     let mut blueprint = ball(
         BALL_RADIUS_M,
-        texture(rng, Pattern::Speckle, colors, 0.006, 0.9),
+        Texture::drawn(rng, Pattern::Speckle, colors, 0.006, 0.9),
         if cue { "cue_ball" } else { "target_ball" },
         "billiard ball",
         "phenolic_resin",
@@ -164,7 +145,7 @@ pub(crate) fn make_pool_ball(cue: bool, p_w: DVec2, rng: &mut StageRng) -> Truth
             blueprint.texture.spots.push(Spot { center, radii: [0.010; 3], color: [235, 235, 225] });
         }
     }
-    place(blueprint, p_w, uniform(rng, [0.0, std::f64::consts::TAU]), rng)
+    blueprint.place(p_w, uniform(rng, [0.0, std::f64::consts::TAU]), rng)
 }
 
 fn ball(
@@ -176,22 +157,15 @@ fn ball(
 ) -> AssetBlueprint {
     let mut mesh = Mesh::icosphere(radius, 4);
     mesh.vertices.iter_mut().for_each(|v| v.z += radius);
-    AssetBlueprint {
-        name,
-        class,
-        material,
-        solid: PartedSolid { mesh, parts: Vec::new() },
-        void: None,
-        hollow: HollowKind::Solid,
-        sphere_radius: Some(radius),
-        texture,
-    }
+    let solid = PartedSolid { mesh, parts: Vec::new() };
+    let blueprint = AssetBlueprint::new(name, class, material, solid, texture);
+    AssetBlueprint { sphere_radius: Some(radius), ..blueprint }
 }
 
 fn soccer_ball(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let radius = uniform(rng, [0.058, 0.072]) * size;
     let colors = ([236, 236, 232], pick(rng, &[[24, 24, 28], [150, 20, 30], [16, 70, 60]]));
-    let texture = texture(rng, Pattern::Soccer, colors, radius as f32, 0.45);
+    let texture = Texture::drawn(rng, Pattern::Soccer, colors, radius as f32, 0.45);
     let mut blueprint = ball(radius, texture, "soccer_ball", "small soccer ball", "synthetic_leather");
     blueprint.hollow = HollowKind::Shell(uniform(rng, [0.0025, 0.004]));
     blueprint
@@ -204,92 +178,81 @@ fn cardboard_box(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let mut void = Mesh::cuboid(0.5 * extents - DVec3::splat(wall));
     void.vertices.iter_mut().for_each(|v| v.z += 0.5 * extents.z);
     let colors = (pick(rng, &[[186, 140, 92], [172, 126, 82], [198, 156, 106]]), [70, 46, 30]);
-    AssetBlueprint {
-        name: "cardboard_box",
-        class: "cardboard box",
-        material: "cardboard",
-        solid: gridded_cuboid(extents, 0.008),
-        void: Some(void),
-        hollow: HollowKind::Shell(wall),
-        sphere_radius: None,
-        texture: texture(rng, Pattern::Cardboard, colors, (0.3 * extents.z) as f32, 0.12),
-    }
+    let solid = gridded_cuboid(extents, 0.008);
+    let texture = Texture::drawn(rng, Pattern::Cardboard, colors, (0.3 * extents.z) as f32, 0.12);
+    AssetBlueprint::new("cardboard_box", "cardboard box", "cardboard", solid, texture).around(void, wall)
 }
 
 fn wood_block(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let extents =
         DVec3::new(uniform(rng, [0.09, 0.15]), uniform(rng, [0.06, 0.09]), uniform(rng, [0.05, 0.09])) * size;
     let colors = pick(rng, &[([206, 160, 104], [150, 98, 52]), ([172, 112, 66], [112, 64, 34])]);
-    AssetBlueprint {
-        name: "wood_block",
-        class: "wooden block",
-        material: "wood",
-        solid: chamfered_cuboid(extents, 0.003),
-        void: None,
-        hollow: HollowKind::Solid,
-        sphere_radius: None,
-        texture: texture(rng, Pattern::Wood, colors, 0.03, 0.4),
-    }
+    let texture = Texture::drawn(rng, Pattern::Wood, colors, 0.03, 0.4);
+    AssetBlueprint::new("wood_block", "wooden block", "wood", chamfered_cuboid(extents, 0.003), texture)
 }
 
 fn brass_block(rng: &mut StageRng, size: f64) -> AssetBlueprint {
     let extents =
         DVec3::new(uniform(rng, [0.11, 0.15]), uniform(rng, [0.04, 0.055]), uniform(rng, [0.055, 0.08]))
             * size;
-    AssetBlueprint {
-        name: "brass_block",
-        class: "brass block",
-        material: "brass",
-        solid: chamfered_cuboid(extents, 0.003),
-        void: None,
-        hollow: HollowKind::Solid,
-        sphere_radius: None,
-        texture: brass(texture(rng, Pattern::Marble, ([226, 188, 108], [190, 146, 74]), 0.04, 0.9)),
-    }
+    let texture = Texture::drawn(rng, Pattern::Marble, ([226, 188, 108], [190, 146, 74]), 0.04, 0.9);
+    AssetBlueprint::new(
+        "brass_block",
+        "brass block",
+        "brass",
+        chamfered_cuboid(extents, 0.003),
+        brass(texture),
+    )
 }
 
 fn pool_ball(rng: &mut StageRng) -> AssetBlueprint {
     let colors = pick(rng, &[([206, 34, 30], [236, 84, 60]), ([232, 176, 24], [250, 208, 84])]);
-    let texture = texture(rng, Pattern::Speckle, colors, 0.006, 0.9);
+    let texture = Texture::drawn(rng, Pattern::Speckle, colors, 0.006, 0.9);
     ball(BALL_RADIUS_M, texture, "pool_ball", "billiard ball", "phenolic_resin")
 }
 
-fn place(blueprint: AssetBlueprint, p_w: DVec2, yaw: f64, rng: &mut StageRng) -> TruthObject {
-    let material = draw_material(blueprint.material, rng);
-    let density = material.density.value.best;
-    // All drawn shapes enclose volume; a test covers many seeds.
-    let mass_a = mass_properties(&blueprint, density).expect("an asset of the catalogue has mass");
-    // A → B: the origin moves to the centre of mass and the yaw goes into the geometry.
-    let turn = DQuat::from_rotation_z(yaw);
-    let com_a = mass_a.com();
-    let x_ba = DPose3::from_parts(-(turn * com_a), turn);
-    let rotation = DMat3::from_quat(turn);
-    let inertia = rotation * mass_a.inertia() * rotation.transpose();
-    let mass =
-        MassProperties::new(mass_a.mass(), DVec3::ZERO, inertia).expect("turning keeps the inertia valid");
-    let volume = match blueprint.sphere_radius {
-        Some(r) => 4.0 / 3.0 * std::f64::consts::PI * r.powi(3),
-        None => blueprint.solid.mesh.volume(),
-    };
-    let mut mesh = blueprint.solid.mesh.transformed(&x_ba);
-    mesh.colors = vertex_colors(&blueprint.solid.mesh, &blueprint.texture);
-    let hollow = match blueprint.hollow {
-        HollowKind::Solid => Hollow::Solid,
-        HollowKind::Vessel(wall_m) => Hollow::Vessel { wall_m },
-        HollowKind::Shell(wall_m) => Hollow::Shell { wall_m, wall_density: density },
-    };
-    TruthObject {
-        name: blueprint.name.to_owned(),
-        class: blueprint.class.to_owned(),
-        material: with_effective_density(material, mass.mass() / volume),
-        sphere_radius: blueprint.sphere_radius,
-        mesh,
-        parts: blueprint.solid.parts.iter().map(|p| p.transformed(&x_ba)).collect(),
-        x_wb: DPose3::from_parts(DVec3::new(p_w.x, p_w.y, 0.0) + turn * com_a, DQuat::IDENTITY),
-        texture: blueprint.texture,
-        x_ab: x_ba.inverse(),
-        hollow,
-        mass,
+impl AssetBlueprint {
+    /// Draws the material and places the asset at `p_w` on the floor (metres), turned by `yaw` radians about z.
+    ///
+    /// # Panics
+    /// If the surface encloses no volume, or `material` is not a key of the table.
+    pub fn place(self, p_w: DVec2, yaw: f64, rng: &mut StageRng) -> TruthObject {
+        let material = draw_material(self.material, rng);
+        let density = material.density.value.best;
+        // All drawn shapes enclose volume; a test covers many seeds.
+        let mass_a = mass_properties(&self, density).expect("an asset of the catalogue has mass");
+        // A → B: the origin moves to the centre of mass and the yaw goes into the geometry.
+        let turn = DQuat::from_rotation_z(yaw);
+        let com_a = mass_a.com();
+        let x_ba = DPose3::from_parts(-(turn * com_a), turn);
+        let rotation = DMat3::from_quat(turn);
+        let inertia = rotation * mass_a.inertia() * rotation.transpose();
+        let mass = MassProperties::new(mass_a.mass(), DVec3::ZERO, inertia)
+            .expect("turning keeps the inertia valid");
+        let volume = match self.sphere_radius {
+            Some(r) => 4.0 / 3.0 * std::f64::consts::PI * r.powi(3),
+            None => self.solid.mesh.volume(),
+        };
+        let mut mesh = self.solid.mesh.transformed(&x_ba);
+        mesh.colors = vertex_colors(&self.solid.mesh, &self.texture);
+        let hollow = match self.hollow {
+            HollowKind::Solid => Hollow::Solid,
+            HollowKind::Vessel(wall_m) => Hollow::Vessel { wall_m },
+            HollowKind::Shell(wall_m) => Hollow::Shell { wall_m, wall_density: density },
+        };
+        TruthObject {
+            name: self.name.to_owned(),
+            class: self.class.to_owned(),
+            material: with_effective_density(material, mass.mass() / volume),
+            sphere_radius: self.sphere_radius,
+            mesh,
+            parts: self.solid.parts.iter().map(|p| p.transformed(&x_ba)).collect(),
+            x_wb: DPose3::from_parts(DVec3::new(p_w.x, p_w.y, 0.0) + turn * com_a, DQuat::IDENTITY),
+            texture: self.texture,
+            x_ab: x_ba.inverse(),
+            hollow,
+            mass,
+        }
     }
 }
 
@@ -321,16 +284,6 @@ fn without(whole: &MassProperties, part: &MassProperties) -> Result<MassProperti
 }
 
 fn vertex_colors(mesh_a: &Mesh, texture: &Texture) -> Vec<[u8; 3]> {
-    let mut normals = vec![DVec3::ZERO; mesh_a.vertices.len()];
-    for t in 0..mesh_a.triangles.len() {
-        let [a, b, c] = mesh_a.corners(t);
-        let n = (b - a).cross(c - a);
-        mesh_a.triangles[t].iter().for_each(|&i| normals[i as usize] += n);
-    }
-    mesh_a
-        .vertices
-        .iter()
-        .zip(&normals)
-        .map(|(v, n)| texture.srgb(v.as_vec3(), n.normalize_or_zero().as_vec3(), 0.004))
-        .collect()
+    let normals = mesh_a.vertex_normals();
+    mesh_a.vertices.iter().zip(&normals).map(|(v, n)| texture.srgb(v.as_vec3(), n.as_vec3(), 0.004)).collect()
 }

@@ -2,37 +2,26 @@
 
 use super::{PartedSolid, clip::clip_convex};
 use glamx::DVec3;
-use sms_core::Mesh;
+use sms_core::{Aabb, Mesh};
 use std::collections::BTreeMap;
 
-/// An axis-aligned box.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Cuboid {
-    pub(crate) min: DVec3,
-    pub(crate) max: DVec3,
+/// Returns the box between two opposite corners.
+pub(crate) fn between(a: [f64; 3], b: [f64; 3]) -> Aabb {
+    let (a, b) = (DVec3::from(a), DVec3::from(b));
+    Aabb { min: a.min(b), max: a.max(b) }
 }
 
-impl Cuboid {
-    pub(crate) fn new(min: DVec3, max: DVec3) -> Self {
-        Self { min, max }
-    }
-
-    fn mesh(&self) -> Mesh {
-        let center = 0.5 * (self.min + self.max);
-        let mut mesh = Mesh::cuboid(0.5 * (self.max - self.min));
-        mesh.vertices.iter_mut().for_each(|v| *v += center);
-        mesh
-    }
-
-    fn contains(&self, p: DVec3) -> bool {
-        p.cmpge(self.min).all() && p.cmple(self.max).all()
-    }
+/// Returns the surface of a box.
+pub(crate) fn surface(of: &Aabb) -> Mesh {
+    let mut mesh = Mesh::cuboid(0.5 * of.extents());
+    mesh.vertices.iter_mut().for_each(|v| *v += of.center());
+    mesh
 }
 
 /// The union of boxes as one closed surface. Faces lie on the grid of all the boxes' planes, refined to cells of at
 /// most `cell` metres, so that the surface has no T-junctions. Boxes may touch in faces but should not overlap (the
 /// pieces' volumes then add up) and must not touch in a lone edge (the surface would not be a manifold).
-pub(crate) fn cuboid_union(boxes: &[Cuboid], cell: f64) -> PartedSolid {
+pub fn cuboid_union(boxes: &[Aabb], cell: f64) -> PartedSolid {
     let planes: [Vec<f64>; 3] = std::array::from_fn(|axis| {
         let mut all: Vec<f64> = boxes.iter().flat_map(|b| [b.min[axis], b.max[axis]]).collect();
         all.sort_by(f64::total_cmp);
@@ -54,7 +43,7 @@ pub(crate) fn cuboid_union(boxes: &[Cuboid], cell: f64) -> PartedSolid {
             }
             p[axis] = 0.5 * (planes[axis][at as usize] + planes[axis][at as usize + 1]);
         }
-        boxes.iter().any(|b| b.contains(p))
+        boxes.iter().any(|b| p.cmpge(b.min).all() && p.cmple(b.max).all())
     };
     let mut mesh = Mesh::default();
     let mut known: BTreeMap<[usize; 3], u32> = BTreeMap::new();
@@ -98,16 +87,13 @@ pub(crate) fn cuboid_union(boxes: &[Cuboid], cell: f64) -> PartedSolid {
             }
         }
     }
-    PartedSolid { mesh, parts: boxes.iter().map(Cuboid::mesh).collect() }
+    PartedSolid { mesh, parts: boxes.iter().map(surface).collect() }
 }
 
 /// One box standing on z = 0 with faces in cells of about `cell` metres.
 pub(crate) fn gridded_cuboid(extents: DVec3, cell: f64) -> PartedSolid {
     let half = 0.5 * extents;
-    cuboid_union(
-        &[Cuboid::new(DVec3::new(-half.x, -half.y, 0.0), DVec3::new(half.x, half.y, extents.z))],
-        cell,
-    )
+    cuboid_union(&[between([-half.x, -half.y, 0.0], [half.x, half.y, extents.z])], cell)
 }
 
 /// One box standing on z = 0 with its edges cut at 45° by `chamfer` metres.
@@ -133,10 +119,7 @@ mod tests {
 
     #[test]
     fn an_l_of_two_boxes_has_the_right_volume_and_area() {
-        let boxes = [
-            Cuboid::new(DVec3::ZERO, DVec3::new(2.0, 1.0, 1.0)),
-            Cuboid::new(DVec3::new(0.0, 0.0, 1.0), DVec3::new(1.0, 1.0, 3.0)),
-        ];
+        let boxes = [between([0.0; 3], [2.0, 1.0, 1.0]), between([0.0, 0.0, 1.0], [1.0, 1.0, 3.0])];
         let solid = cuboid_union(&boxes, 0.7);
         assert!(solid.mesh.is_closed_oriented());
         assert!((solid.mesh.volume() - 4.0).abs() < 1e-12);

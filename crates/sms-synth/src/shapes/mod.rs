@@ -6,14 +6,17 @@ mod clip;
 mod lathe;
 
 pub(crate) use blobs::{Ellipsoid, ellipsoid_union};
-pub(crate) use blocks::{Cuboid, chamfered_cuboid, cuboid_union, gridded_cuboid};
+pub use blocks::cuboid_union;
+pub(crate) use blocks::{between, chamfered_cuboid, gridded_cuboid, surface};
 pub(crate) use lathe::{Handle, lathe_solid, lathe_vessel};
 
 use sms_core::Mesh;
 
 /// A closed oriented surface and convex pieces with the same union.
 #[derive(Debug, Clone)]
-pub(crate) struct PartedSolid {
-    pub(crate) mesh: Mesh,
-    pub(crate) parts: Vec<Mesh>,
+pub struct PartedSolid {
+    /// The surface.
+    pub mesh: Mesh,
+    /// Closed convex meshes.
+    pub parts: Vec<Mesh>,
 }

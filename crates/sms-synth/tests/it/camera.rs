@@ -5,7 +5,7 @@ use rand::RngExt;
 use sms_core::{Camera, Seed};
 use sms_synth::{
     AssetKind, BilliardsSettings, CameraModel, CameraPath, DepthCamera, RecordingSettings, Renderer,
-    TruthScene, generate_billiards, paper_billiards_path, render,
+    TruthScene, generate_billiards, render,
 };
 
 fn perfect() -> CameraModel {
@@ -20,7 +20,7 @@ fn scene() -> TruthScene {
 
 fn cameras(scene: &TruthScene) -> Vec<Camera> {
     let k = RecordingSettings { width: 320, height: 200, ..RecordingSettings::default() }.intrinsics();
-    let poses = paper_billiards_path(scene, 60);
+    let poses = CameraPath::default().poses(scene, 60);
     [0, 13, 37, 59].map(|i| Camera::new(k, poses[i])).to_vec()
 }
 
@@ -234,7 +234,7 @@ fn the_path_sees_every_ball_top_and_most_of_every_object() {
     let mut tops = vec![0usize; scene.objects.len()];
     let mut frames_with = vec![0usize; scene.objects.len()];
     let renderer = Renderer::new(&scene);
-    for x_wc in paper_billiards_path(&scene, 30) {
+    for x_wc in CameraPath::default().poses(&scene, 30) {
         let camera = Camera::new(k, x_wc);
         let frame = renderer.render(&camera, &perfect());
         for i in 1..pixels.len() {

@@ -1,12 +1,13 @@
 //! Structures of objects that stand on each other or touch, for masks: their fused surface is connected.
 
-use crate::assets::{AssetKind, Furniture, make_asset, make_furniture, make_pool_ball};
-use crate::floor::draw_floor;
-use crate::random::uniform;
-use crate::scene::{TruthObject, TruthScene, name_uniquely};
-use glamx::{DPose3, DVec2, DVec3};
+use crate::furniture::{Furniture, make_furniture, uniform};
+use glamx::DVec2;
 use serde::{Deserialize, Serialize};
-use sms_core::{Aabb, Seed};
+use sms_core::Seed;
+use sms_synth::{
+    AssetKind, BALL_RADIUS_M, TruthObject, TruthScene, bounds_w, draw_floor, make_asset, make_pool_ball,
+    name_uniquely, on_top,
+};
 
 /// Kinds of stacked structures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -39,8 +40,8 @@ impl Structure {
 }
 
 /// Generates a structure on the floor at the world's origin; sizes, colours, turns and overhangs follow from the seed. There
-/// are no balls to play: `cue` and `target` are empty. [`crate::orbit_poses`] around [`bounds_w`] shows it from all sides.
-pub fn generate_stacked(structure: Structure, scene_seed: Seed) -> TruthScene {
+/// are no balls to play: `cue` and `target` are empty.
+pub(crate) fn generate_stacked(structure: Structure, scene_seed: Seed) -> TruthScene {
     let seed = scene_seed.derive("stacked v1").derive(structure.as_str());
     let mut rng = seed.derive("layout").rng();
     let mut draw = |low: f64, high: f64| uniform(&mut rng, [low, high]);
@@ -72,9 +73,9 @@ pub fn generate_stacked(structure: Structure, scene_seed: Seed) -> TruthScene {
             let mug = make_asset(AssetKind::Mug, DVec2::ZERO, yaw, 1.0, &mut seed.derive("mug").rng());
             // Opposite the handle, or beside it.
             let away = DVec2::from_angle(yaw + draw(1.8, 4.4));
-            let first = away * (wall_radius(&mug) + crate::BALL_RADIUS_M);
+            let first = away * (wall_radius(&mug) + BALL_RADIUS_M);
             let turned = DVec2::from_angle(away.to_angle() + draw(-1.0, 1.0));
-            let second = first + turned * 2.0 * crate::BALL_RADIUS_M;
+            let second = first + turned * 2.0 * BALL_RADIUS_M;
             let mut balls = seed.derive("balls").rng();
             objects.extend([
                 mug,
@@ -90,20 +91,6 @@ pub fn generate_stacked(structure: Structure, scene_seed: Seed) -> TruthScene {
     scene
 }
 
-/// Returns the box around all objects of a scene in the world; empty at the origin without objects.
-pub fn bounds_w(scene: &TruthScene) -> Aabb {
-    let boxes = scene.objects.iter().map(TruthObject::aabb_w);
-    let join = |a: Aabb, b: Aabb| Aabb { min: a.min.min(b.min), max: a.max.max(b.max) };
-    boxes.reduce(join).unwrap_or(Aabb { min: DVec3::ZERO, max: DVec3::ZERO })
-}
-
-/// Lifts an object that stands on the floor onto the top of another.
-pub(crate) fn on_top(mut object: TruthObject, below: &TruthObject) -> TruthObject {
-    let lift = DPose3::from_translation(DVec3::Z * below.aabb_w().max.z);
-    object.x_wb = lift * object.x_wb;
-    object
-}
-
 /// Returns the radius of the wall of a mug at the origin without its handle, from its foot with a bevel of 2 mm.
 fn wall_radius(mug: &TruthObject) -> f64 {
     let radii = mug.mesh_w().vertices.into_iter().filter(|v| v.z < 0.003).map(|v| v.truncate().length());
@@ -113,6 +100,7 @@ fn wall_radius(mug: &TruthObject) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glamx::DVec3;
 
     #[test]
     fn structures_stand_on_each_other_and_do_not_overlap() {
@@ -142,7 +130,7 @@ mod tests {
         for seed in 1001..1011 {
             let scene = generate_stacked(Structure::BallAgainstMug, Seed(seed));
             let centers: Vec<DVec3> = scene.objects.iter().map(|o| o.x_wb.translation).collect();
-            let r = crate::BALL_RADIUS_M;
+            let r = BALL_RADIUS_M;
             assert!((centers[1].distance(centers[2]) - 2.0 * r).abs() < 1e-9);
             let near =
                 scene.objects[0].mesh_w().vertices.iter().map(|v| v.distance(centers[1])).fold(9.0, f64::min);
