@@ -1,8 +1,8 @@
 //! Self-collision and distance to obstacles.
 
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::{LinkCollision, RobotModel};
-use crate::arm::shape::{Clearance, Obstacle, distance, obstacle_distance};
+use crate::arm::model::LinkCollision;
+use crate::arm::shape::{Clearance, distance, obstacle_distance};
+use crate::{Obstacle, RobotModel, Workspace};
 use glamx::DPose3;
 
 /// Number of sampled postures that determine which shapes always overlap, and the share of them that counts as always.

@@ -1,7 +1,7 @@
 //! The robot model: a tree of bodies, each carried by one joint.
 
-use crate::arm::dynamics::linalg::{MAX_JOINTS, point_inertia};
-use crate::arm::shape::LinkShape;
+use crate::arm::model::point_inertia;
+use crate::{LinkShape, MAX_JOINTS};
 use glamx::{DMat3, DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{InertiaError, MassProperties};
@@ -223,7 +223,12 @@ pub(crate) fn transformed(m: &MassProperties, x_ab: &DPose3) -> Result<MassPrope
     MassProperties::new(m.mass(), x_ab.transform_point(m.com()), r * m.inertia() * r.transpose())
 }
 
-/// Whether a model is small enough for the fixed work space.
-pub(crate) fn fits(joints: usize) -> bool {
-    joints <= MAX_JOINTS
+/// The inertia of a unit point mass at `r`: (r·r) 1 − r rᵀ.
+pub(crate) fn point_inertia(r: DVec3) -> DMat3 {
+    let d = r.length_squared();
+    DMat3::from_cols(
+        DVec3::new(d - r.x * r.x, -r.x * r.y, -r.x * r.z),
+        DVec3::new(-r.y * r.x, d - r.y * r.y, -r.y * r.z),
+        DVec3::new(-r.z * r.x, -r.z * r.y, d - r.z * r.z),
+    )
 }

@@ -1,8 +1,6 @@
 //! Inverse kinematics: Levenberg-Marquardt with limits from many starts.
 
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::{Jacobian, JointVector, Workspace};
-use crate::arm::model::RobotModel;
+use crate::{Jacobian, JointVector, MAX_JOINTS, RobotModel, Workspace};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::Cholesky;

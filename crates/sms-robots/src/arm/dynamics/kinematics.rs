@@ -1,7 +1,7 @@
 //! Forward kinematics, Jacobians, velocities and accelerations, in world axes.
 
-use crate::arm::dynamics::workspace::{Jacobian, Moving, Workspace};
-use crate::arm::model::{FrameId, RobotModel};
+use crate::arm::dynamics::workspace::Moving;
+use crate::{FrameId, Jacobian, RobotModel, Workspace};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 
 impl RobotModel {

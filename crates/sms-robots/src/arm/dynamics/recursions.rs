@@ -1,9 +1,9 @@
 //! Inverse dynamics (recursive Newton-Euler), the mass matrix (composite rigid bodies) and forward dynamics, in world
 //! axes (Featherstone, "Rigid Body Dynamics Algorithms", chapters 5 and 6).
 
-use crate::arm::dynamics::linalg::{MAX_JOINTS, point_inertia};
-use crate::arm::dynamics::workspace::{Composite, JointVector, MassMatrix, Workspace};
-use crate::arm::model::{FrameId, RobotModel};
+use crate::arm::dynamics::workspace::{Composite, MassMatrix};
+use crate::arm::model::point_inertia;
+use crate::{FrameId, JointVector, MAX_JOINTS, RobotModel, Workspace};
 use glamx::{DMat3, DVec3};
 use sms_core::Cholesky;
 

@@ -1,9 +1,6 @@
 //! Forward simulation of the arm in free space, for tests of the controller and for prediction.
 
-use crate::arm::control::osc::joint_friction;
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::{JointVector, Workspace};
-use crate::arm::model::RobotModel;
+use crate::{JointVector, MAX_JOINTS, RobotModel, Workspace, joint_friction};
 use glamx::{DPose3, DVec3};
 
 /// A robot under joint torques, with damping, Coulomb friction and rotor inertia. It has no contacts, and position

@@ -1,7 +1,9 @@
 //! Buffers for intermediate results, so that control steps do not allocate.
 
-use crate::arm::dynamics::linalg::MAX_JOINTS;
 use glamx::{DMat3, DVec3};
+
+/// Largest number of moving joints.
+pub const MAX_JOINTS: usize = 16;
 
 /// One value for each joint, the first `dof` of them in use.
 pub type JointVector = [f64; MAX_JOINTS];

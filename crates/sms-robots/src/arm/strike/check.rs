@@ -1,12 +1,10 @@
 //! Checks of a planned strike before it is executed.
 
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::RobotModel;
-use crate::arm::shape::{Clearance, Obstacle};
-use crate::arm::strike::approach::{Phase, StrikePlan};
-use crate::arm::strike::motion::{LimitKind, Use};
-use crate::arm::strike::sweep_plan::StrikeConfig;
-use crate::arm::strike::tracking::{Tracking, simulate_sweep};
+use crate::arm::shape::Clearance;
+use crate::{
+    LimitKind, Obstacle, Phase, RobotModel, StrikeConfig, StrikePlan, Tracking, Use, Workspace,
+    simulate_sweep,
+};
 use serde::{Deserialize, Serialize};
 
 /// Tolerance of the speed error at the contact (a share).

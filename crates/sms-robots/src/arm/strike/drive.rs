@@ -1,12 +1,9 @@
 //! The arm executing a sweep, with external impulses.
 
-use crate::arm::control::osc::{Osc, OscConfig};
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::simulation::ArmSim;
-use crate::arm::dynamics::workspace::{JointVector, Workspace};
-use crate::arm::model::RobotModel;
-use crate::arm::strike::sweep::{Sweep, SweepPath, ToolPath};
-use crate::arm::strike::sweep_plan::SweepPlan;
+use crate::arm::strike::sweep::SweepPath;
+use crate::{
+    ArmSim, JointVector, MAX_JOINTS, Osc, OscConfig, RobotModel, Sweep, SweepPlan, ToolPath, Workspace,
+};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use std::sync::Arc;
 

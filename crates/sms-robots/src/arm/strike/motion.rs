@@ -1,10 +1,8 @@
 //! Joint motions: rollouts of tool motions, and point-to-point motions.
 
-use crate::arm::control::osc::{OscConfig, TaskGoal, TaskLaw, joint_friction};
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::{JointVector, Workspace};
-use crate::arm::model::RobotModel;
-use crate::arm::strike::sweep::{ToolPath, minimum_jerk};
+use crate::arm::osc::{TaskGoal, TaskLaw};
+use crate::arm::strike::sweep::minimum_jerk;
+use crate::{JointVector, MAX_JOINTS, OscConfig, RobotModel, ToolPath, Workspace, joint_friction};
 use serde::{Deserialize, Serialize};
 
 /// State of the joints at one time.

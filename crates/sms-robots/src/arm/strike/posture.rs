@@ -1,10 +1,8 @@
 //! Postures at the contact of a strike, and the share of the arm's limits that each uses.
 
-use crate::arm::dynamics::ik::{IkConfig, IkTarget, Unreachable};
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::{Jacobian, JointVector, Workspace};
-use crate::arm::model::RobotModel;
-use crate::arm::strike::sweep::Sweep;
+use crate::{
+    IkConfig, IkTarget, Jacobian, JointVector, MAX_JOINTS, RobotModel, Sweep, Unreachable, Workspace,
+};
 use glamx::DVec3;
 use sms_core::Cholesky;
 

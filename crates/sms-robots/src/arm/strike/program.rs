@@ -1,11 +1,7 @@
 //! A strike as a joint trajectory for a robot's own program, in JSON and Parquet.
 
-use crate::arm::control::osc::joint_friction;
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::RobotModel;
-use crate::arm::strike::approach::{Phase, StrikePlan};
-use crate::arm::strike::check::StrikeCheck;
 use crate::arm::strike::motion::{JointSample, motor_torques};
+use crate::{Phase, RobotModel, StrikeCheck, StrikePlan, Workspace, joint_friction};
 use glamx::{DPose3, DQuat};
 use serde::{Deserialize, Serialize};
 use sms_core::table::{Column, write_table};

@@ -1,12 +1,10 @@
 //! Sweeps from several postures, advanced side by side, each only as far as needed to find the best.
 
-use crate::arm::control::osc::TaskLaw;
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::RobotModel;
+use crate::arm::osc::TaskLaw;
 use crate::arm::strike::motion::{Meter, StepwiseRollout, within_limits};
 use crate::arm::strike::obstruction::ClearanceCheck;
-use crate::arm::strike::sweep::{SweepPath, ToolPath};
-use crate::arm::strike::sweep_plan::{StrikeConfig, StrikeError, SweepPlan};
+use crate::arm::strike::sweep::SweepPath;
+use crate::{RobotModel, StrikeConfig, StrikeError, SweepPlan, ToolPath, Workspace};
 
 /// Samples between comparisons.
 const STRIDE: usize = 4;
@@ -78,12 +76,10 @@ impl<'a> SweepCandidate<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::FIST_HALF;
-    use crate::arm::dynamics::ik::IkTarget;
     use crate::arm::strike::motion::roll_out;
     use crate::arm::strike::posture::postures;
-    use crate::arm::strike::sweep::Sweep;
     use crate::arm::strike::sweep_plan::COARSE_ENOUGH;
+    use crate::{FIST_HALF, IkTarget, Sweep};
     use glamx::{DPose3, DVec3};
 
     /// Sweeps over the workspace, each with the postures at its start.

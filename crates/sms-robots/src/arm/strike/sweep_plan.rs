@@ -1,18 +1,18 @@
 //! Planning of a sweep within the arm's limits.
 
-use crate::arm::control::osc::{Osc, OscConfig, TaskLaw};
-use crate::arm::dynamics::ik::{IkConfig, IkTarget, LENGTH_M, Unreachable};
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::RobotModel;
-use crate::arm::shape::{Clearance, Obstacle};
-use crate::arm::strike::approach::Phase;
+use crate::arm::dynamics::ik::LENGTH_M;
+use crate::arm::osc::TaskLaw;
+use crate::arm::shape::Clearance;
 use crate::arm::strike::hold::{Hold, groups, tool_blocked};
-use crate::arm::strike::motion::{Infeasible, JointMotion, LimitKind, Uses, roll_out};
+use crate::arm::strike::motion::roll_out;
 use crate::arm::strike::obstruction::ClearanceCheck;
 use crate::arm::strike::posture::{postures, strain};
-use crate::arm::strike::sweep::{Sweep, SweepPath, ToolPath};
+use crate::arm::strike::sweep::SweepPath;
 use crate::arm::strike::sweep_candidate::SweepCandidate;
+use crate::{
+    IkConfig, IkTarget, Infeasible, JointMotion, LimitKind, MAX_JOINTS, Obstacle, Osc, OscConfig, Phase,
+    RobotModel, Sweep, ToolPath, Unreachable, Uses, Workspace,
+};
 use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 

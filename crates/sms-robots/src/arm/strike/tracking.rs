@@ -1,11 +1,6 @@
 //! A sweep under torque control in free space.
 
-use crate::arm::control::osc::OscConfig;
-use crate::arm::dynamics::simulation::ArmSim;
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::RobotModel;
-use crate::arm::strike::sweep::{SEGMENT_M, ToolPath};
-use crate::arm::strike::sweep_plan::SweepPlan;
+use crate::{ArmSim, OscConfig, RobotModel, SEGMENT_M, SweepPlan, ToolPath, Workspace};
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 

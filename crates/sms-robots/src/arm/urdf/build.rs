@@ -3,11 +3,8 @@
 use super::collision::shapes;
 use super::xml::{Inertial, UrdfSource, place};
 use super::{OffChain, UrdfOptions};
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::model::{
-    FrameId, GRAVITY_W, Joint, JointKind, JointLimits, LinkCollision, LinkFrame, RobotModel, fits, merged,
-    transformed,
-};
+use crate::arm::model::{GRAVITY_W, JointLimits, LinkCollision, fits, merged, transformed};
+use crate::{FrameId, Joint, JointKind, LinkFrame, MAX_JOINTS, RobotModel};
 use glamx::{DPose3, DQuat, DVec3};
 use roxmltree::Node;
 use sms_core::{InputError, MassProperties};

@@ -2,10 +2,7 @@
 //! predicted motions.
 
 use crate::arm::dynamics::ik::attitude_error;
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::{Jacobian, JointVector, Workspace};
-use crate::arm::model::RobotModel;
-use crate::arm::strike::sweep::ToolReference;
+use crate::{Jacobian, JointVector, MAX_JOINTS, RobotModel, ToolReference, Workspace};
 use glamx::DMat3;
 use serde::{Deserialize, Serialize};
 use sms_core::Cholesky;
