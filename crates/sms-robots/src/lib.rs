@@ -40,7 +40,7 @@ mod vehicle;
 
 pub use arm::FIST_HALF;
 pub use arm::config::RobotConfig;
-pub use arm::dynamics::ik::{IkConfig, IkSolution, IkTarget, Unreachable};
+pub use arm::dynamics::ik::{IkConfig, IkSolution, Unreachable};
 pub use arm::dynamics::simulation::ArmSim;
 pub use arm::dynamics::workspace::{Jacobian, JointVector, MAX_JOINTS, Workspace};
 pub use arm::model::{FrameId, Joint, JointKind, LinkFrame, RobotModel};

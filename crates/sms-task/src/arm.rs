@@ -4,7 +4,7 @@ use crate::ResolvedTask;
 use glamx::{DMat4, DPose3};
 use sms_core::{Hash, Hasher, InputError};
 use sms_robots::{
-    ArmStrike, IkTarget, Obstacle, RobotConfig, RobotModel, StrikeConfig, StrikeError, ToolPath, Workspace,
+    ArmStrike, Obstacle, RobotConfig, RobotModel, StrikeConfig, StrikeError, ToolPath, Workspace,
     check_strike, obstacles, plan_startable_sweep, plan_strike,
 };
 use sms_scene::{BodyShape, Scene};
@@ -107,7 +107,7 @@ impl RobotArm {
     ) -> Result<Arc<ArmStrike>, StrikeError> {
         let commanded = self.strike(commanded)?;
         let moved = commanded.moved_to(|front_m| carried_out.sweep(front_m));
-        let start = IkTarget::Pose(moved.path().at(0.0).x_wt);
+        let start = moved.path().at(0.0).x_wt;
         let ws = &mut Workspace::default();
         let q_start = self.model.refine(&start, &commanded.q_start, &self.config.ik, ws)?;
         Ok(Arc::new(ArmStrike { q_start, ..moved }))

@@ -1,7 +1,7 @@
 //! The robot model: a tree of bodies, each carried by one joint.
 
+use crate::LinkShape;
 use crate::arm::model::point_inertia;
-use crate::{LinkShape, MAX_JOINTS};
 use glamx::{DMat3, DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{InertiaError, MassProperties};
@@ -165,11 +165,6 @@ impl RobotModel {
         self
     }
 
-    /// Gravity, m/s² in the world.
-    pub fn gravity_w(&self) -> DVec3 {
-        self.gravity_w
-    }
-
     /// The resting posture from which approaches start: the middle of each joint's range, unless the model defines
     /// another.
     pub fn home(&self) -> &[f64] {
@@ -187,24 +182,9 @@ impl RobotModel {
         self
     }
 
-    /// The joint nearest to (or farthest beyond) a position limit: index and distance, negative beyond.
-    pub fn limit_margin(&self, q: &[f64]) -> (usize, f64) {
-        (0..self.dof())
-            .map(|i| (i, (q[i] - self.joints[i].limits.lower).min(self.joints[i].limits.upper - q[i])))
-            .min_by(|a, b| a.1.total_cmp(&b.1))
-            .unwrap_or((0, f64::INFINITY))
-    }
-
-    /// Whether joint `ancestor` carries joint `joint` (or is it).
-    pub(crate) fn carries(&self, ancestor: usize, joint: Option<usize>) -> bool {
-        let mut j = joint;
-        while let Some(i) = j {
-            if i == ancestor {
-                return true;
-            }
-            j = self.joints[i].parent;
-        }
-        false
+    /// A joint and those that carry it, towards the base.
+    pub(crate) fn chain(&self, joint: Option<usize>) -> impl Iterator<Item = usize> {
+        std::iter::successors(joint, move |&i| self.joints[i].parent)
     }
 }
 

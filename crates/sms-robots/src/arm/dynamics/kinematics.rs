@@ -59,8 +59,7 @@ impl RobotModel {
         out.angular_w = Default::default();
         let Some(last) = data.joint else { return };
         let p_w = ws.placed[last].p_w + ws.placed[last].r_wj * data.x_jf.translation;
-        let mut joint = Some(last);
-        while let Some(i) = joint {
+        for i in self.chain(data.joint) {
             let axis = ws.placed[i].axis_w;
             if self.joints[i].kind.turns() {
                 out.linear_w[i] = axis.cross(p_w - ws.placed[i].p_w);
@@ -68,7 +67,6 @@ impl RobotModel {
             } else {
                 out.linear_w[i] = axis;
             }
-            joint = self.joints[i].parent;
         }
     }
 
