@@ -1,7 +1,6 @@
 //! The robot model: a tree of bodies, each carried by one joint.
 
 use crate::LinkShape;
-use crate::arm::model::point_inertia;
 use glamx::{DMat3, DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{InertiaError, MassProperties};
