@@ -66,15 +66,9 @@ impl RobotArm {
         }
         let half = self.config.half_m;
         let sweep = motion.sweep(half.x);
-        let found = plan_startable_sweep(
-            &self.model,
-            &sweep,
-            &self.obstacles,
-            &self.config,
-            &mut Workspace::default(),
-        );
-        let found =
-            found.map(|plan| Arc::new(ArmStrike::of_plan(self.model.clone(), &plan, self.config.osc, half)));
+        let ws = &mut Workspace::default();
+        let found = plan_startable_sweep(&self.model, &sweep, &self.obstacles, &self.config, ws)
+            .map(|plan| Arc::new(ArmStrike::of_plan(self.model.clone(), &plan, self.config.osc, half)));
         if let Ok(mut planned) = self.planned.lock() {
             planned.insert(key, found.clone());
         }
