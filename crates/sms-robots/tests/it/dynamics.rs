@@ -3,7 +3,7 @@
 use glamx::{DMat3, DQuat, DVec3};
 use proptest::prelude::*;
 use sms_core::MassProperties;
-use sms_robots::{ArmSim, Jacobian, OffChain, RobotModel, UrdfOptions, Workspace};
+use sms_robots::{ArmSim, Jacobian, MAX_JOINTS, OffChain, RobotModel, UrdfOptions, Workspace};
 use std::path::Path;
 
 /// Two rods in the vertical plane x-z: lengths, distances of their centres, masses and inertias.
