@@ -22,11 +22,6 @@ impl LandingAction {
         self.landing_w.into()
     }
 
-    /// Returns the approach point: the Bézier curve's middle control point.
-    pub fn approach_point(&self) -> DVec2 {
-        self.landing() + DVec2::from_angle(self.approach_angle) * self.approach_radius
-    }
-
     /// Returns the values in the order of [`crate::ResolvedLanding::parameters`], for trial logs.
     pub fn values(&self) -> Action {
         Action(vec![self.landing_w[0], self.landing_w[1], self.approach_radius, self.approach_angle])

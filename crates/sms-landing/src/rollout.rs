@@ -450,21 +450,7 @@ fn vehicle_body(landing: &ResolvedLanding, scene: &Scene) -> Result<Body, Landin
 }
 
 /// Flies one landing in a new world: the planner's ([`sms_sim::RapierFactory`], the scanned scene) or a target's. Use a
-/// [`LandingWorld`] for many landings in one scene.
-///
-/// ```no_run
-/// use sms_landing::{LandingTask, RolloutOptions, rollout_landing};
-/// use sms_sim::RapierFactory;
-/// use sms_wash::WashSettings;
-/// # fn land(scene: &sms_scene::Scene) -> Result<(), sms_landing::LandingError> {
-/// let landing = LandingTask::new([2.0, 0.0]).resolve(scene)?;
-/// let straight = landing.straight(landing.surface().point([0.5, 0.5]));
-/// let wash = WashSettings::default();
-/// let outcome = rollout_landing(&RapierFactory, &wash, scene, &landing, &straight, &RolloutOptions::default())?;
-/// println!("{}", outcome.failure.map_or("landed".to_owned(), |f| f.to_string()));
-/// # Ok(())
-/// # }
-/// ```
+/// [`LandingWorld`] for many landings in one scene. The crate's example uses it.
 ///
 /// # Errors
 /// [`LandingError`] if the scene, the wash or the flight cannot be built.

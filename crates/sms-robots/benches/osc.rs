@@ -6,8 +6,8 @@ use criterion::Criterion;
 use glamx::{DPose3, DVec3};
 use sms_core::Mesh;
 use sms_robots::{
-    ArmSim, FIST_HALF, IkConfig, IkTarget, LinkShape, MAX_JOINTS, Obstacle, ObstacleShape, Osc, OscConfig,
-    RobotModel, StrikeConfig, Sweep, ToolReference, Workspace, check_strike, floor, plan_strike, plan_sweep,
+    ArmSim, FIST_HALF, IkConfig, LinkShape, MAX_JOINTS, Obstacle, ObstacleShape, Osc, OscConfig, RobotModel,
+    StrikeConfig, Sweep, ToolReference, Workspace, check_strike, floor, plan_strike, plan_sweep,
 };
 use std::hint::black_box;
 use std::time::Duration;
@@ -47,9 +47,9 @@ fn benches(c: &mut Criterion) {
             sim.step(&model, black_box(&tau), 0.00125);
         })
     });
-    let target = IkTarget::Pose(reference.x_wt);
+    let target = reference.x_wt;
     c.bench_function("ik, 16 starts", |b| {
-        b.iter(|| model.inverse_kinematics(black_box(&target), None, &IkConfig::default(), &mut ws))
+        b.iter(|| model.inverse_kinematics(black_box(&target), &IkConfig::default(), &mut ws))
     });
     let sweep = Sweep::of_ball(DVec3::new(0.5, 0.1, 0.03), 0.03, -0.3, 0.6, FIST_HALF.x);
     let (config, floor) = (StrikeConfig::default(), [floor(0.0)]);

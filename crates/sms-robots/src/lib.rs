@@ -38,12 +38,22 @@ mod arm;
 pub mod autopilot;
 mod vehicle;
 
-pub use arm::{
-    ArmSim, ArmStrike, CheckKind, FIST_HALF, FR3_URDF, FrameId, IkConfig, IkSolution, IkTarget, Infeasible,
-    Jacobian, Joint, JointKind, JointMotion, JointProgram, JointVector, LimitKind, LinkFrame, LinkShape,
-    MAX_JOINTS, Obstacle, ObstacleShape, OffChain, Osc, OscConfig, Phase, RobotConfig, RobotModel, SEGMENT_M,
-    StrikeCheck, StrikeConfig, StrikeError, StrikePlan, Sweep, SweepDrive, SweepPlan, SweepProfile, ToolPath,
-    ToolReference, Tracking, Unreachable, UrdfOptions, Use, Uses, Workspace, check_strike, floor,
-    joint_friction, obstacles, plan_startable_sweep, plan_strike, plan_sweep, simulate_sweep,
-};
+pub use arm::FIST_HALF;
+pub use arm::config::RobotConfig;
+pub use arm::dynamics::ik::{IkConfig, IkSolution, Unreachable};
+pub use arm::dynamics::simulation::ArmSim;
+pub use arm::dynamics::workspace::{Jacobian, JointVector, MAX_JOINTS, Workspace};
+pub use arm::model::{FrameId, Joint, JointKind, LinkFrame, RobotModel};
+pub use arm::obstacles::obstacles;
+pub use arm::osc::{Osc, OscConfig, joint_friction};
+pub use arm::shape::{LinkShape, Obstacle, ObstacleShape, floor};
+pub use arm::strike::approach::{Phase, StrikePlan, plan_startable_sweep, plan_strike};
+pub use arm::strike::check::{CheckKind, StrikeCheck, check_strike};
+pub use arm::strike::drive::{ArmStrike, SweepDrive};
+pub use arm::strike::motion::{Infeasible, JointMotion, LimitKind, Use, Uses};
+pub use arm::strike::program::JointProgram;
+pub use arm::strike::sweep::{SEGMENT_M, Sweep, SweepProfile, ToolPath, ToolReference};
+pub use arm::strike::sweep_plan::{StrikeConfig, StrikeError, SweepPlan, plan_sweep};
+pub use arm::strike::tracking::{Tracking, simulate_sweep};
+pub use arm::urdf::{FR3_URDF, OffChain, UrdfOptions};
 pub use vehicle::{BezierPath, Flight, FlightSettings, Quadrotor, Rotor, VehicleError};

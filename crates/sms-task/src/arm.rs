@@ -4,7 +4,7 @@ use crate::ResolvedTask;
 use glamx::{DMat4, DPose3};
 use sms_core::{Hash, Hasher, InputError};
 use sms_robots::{
-    ArmStrike, IkTarget, Obstacle, RobotConfig, RobotModel, StrikeConfig, StrikeError, ToolPath, Workspace,
+    ArmStrike, Obstacle, RobotConfig, RobotModel, StrikeConfig, StrikeError, ToolPath, Workspace,
     check_strike, obstacles, plan_startable_sweep, plan_strike,
 };
 use sms_scene::{BodyShape, Scene};
@@ -66,15 +66,9 @@ impl RobotArm {
         }
         let half = self.config.half_m;
         let sweep = motion.sweep(half.x);
-        let found = plan_startable_sweep(
-            &self.model,
-            &sweep,
-            &self.obstacles,
-            &self.config,
-            &mut Workspace::default(),
-        );
-        let found =
-            found.map(|plan| Arc::new(ArmStrike::of_plan(self.model.clone(), &plan, self.config.osc, half)));
+        let ws = &mut Workspace::default();
+        let found = plan_startable_sweep(&self.model, &sweep, &self.obstacles, &self.config, ws)
+            .map(|plan| Arc::new(ArmStrike::of_plan(self.model.clone(), &plan, self.config.osc, half)));
         if let Ok(mut planned) = self.planned.lock() {
             planned.insert(key, found.clone());
         }
@@ -107,7 +101,7 @@ impl RobotArm {
     ) -> Result<Arc<ArmStrike>, StrikeError> {
         let commanded = self.strike(commanded)?;
         let moved = commanded.moved_to(|front_m| carried_out.sweep(front_m));
-        let start = IkTarget::Pose(moved.path().at(0.0).x_wt);
+        let start = moved.path().at(0.0).x_wt;
         let ws = &mut Workspace::default();
         let q_start = self.model.refine(&start, &commanded.q_start, &self.config.ik, ws)?;
         Ok(Arc::new(ArmStrike { q_start, ..moved }))

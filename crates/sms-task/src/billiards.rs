@@ -15,10 +15,11 @@ pub enum BilliardsKind {
 }
 
 /// The parameters of an action.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionForm {
     /// Speed, angle and contact position: the paper's text.
+    #[default]
     SpeedAngleContact,
     /// Speed and angle, contact at the centre of the cue ball: the paper's released form.
     SpeedAngle,
@@ -47,7 +48,7 @@ pub struct Billiards {
     #[serde(default = "default_success_m")]
     pub success_m: f64,
     /// The parameters of an action.
-    #[serde(default = "default_form")]
+    #[serde(default)]
     pub form: ActionForm,
     /// Ranges of these parameters.
     #[serde(default)]
@@ -113,10 +114,6 @@ pub(crate) fn default_success_m() -> f64 {
     0.05
 }
 
-pub(crate) fn default_form() -> ActionForm {
-    ActionForm::SpeedAngleContact
-}
-
 pub(crate) fn default_dt() -> f64 {
     0.0025
 }
@@ -131,7 +128,7 @@ impl Billiards {
             goal_w,
             horizon_s: default_horizon_s(),
             success_m: default_success_m(),
-            form: default_form(),
+            form: ActionForm::default(),
             bounds: ActionBounds::default(),
             striker: StrikerMaterial::default(),
             dt: default_dt(),
@@ -144,18 +141,13 @@ impl Billiards {
     /// # Errors
     /// [`InputError`] that names the file, the key and the allowed range.
     pub fn validate(&self) -> Result<(), InputError> {
-        let fault = |key: &str, why: String| {
-            Err(InputError::new(format!("`{key}` in this task file cannot be used: {why}"), self.path(), {
-                format!("correct `{key}`")
-            }))
-        };
         for (key, selector) in [("cue", &self.cue), ("target", &self.target)] {
             if let Some(why) = selector.fault() {
-                return fault(key, why.to_string());
+                return fault(self.path(), key, &why);
             }
         }
         if self.goal_w.iter().any(|v| !v.is_finite()) {
-            return fault("goal_w", "it must be two finite numbers, x and y in metres".to_owned());
+            return fault(self.path(), "goal_w", "it must be two finite numbers, x and y in metres");
         }
         self.common().validate(self.path())
     }
@@ -182,6 +174,12 @@ pub(crate) fn named(source: &Path) -> &Path {
     if source.as_os_str().is_empty() { Path::new("(task made by the program)") } else { source }
 }
 
+/// Refuses the value of a key.
+pub(crate) fn fault(path: &Path, key: &str, why: &str) -> Result<(), InputError> {
+    let what = format!("`{key}` in this task file cannot be used: {why}");
+    Err(InputError::new(what, path, format!("correct `{key}`")))
+}
+
 /// Settings that all strike tasks share.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct StrikeSettings {
@@ -195,10 +193,7 @@ pub(crate) struct StrikeSettings {
 
 impl StrikeSettings {
     pub(crate) fn validate(&self, path: &Path) -> Result<(), InputError> {
-        let fault = |key: &str, why: String| {
-            let what = format!("`{key}` in this task file cannot be used: {why}");
-            Err(InputError::new(what, path, format!("correct `{key}`")))
-        };
+        let fault = |key: &str, why: String| fault(path, key, &why);
         for (key, value, largest) in
             [("horizon_s", self.horizon_s, 60.0), ("success_m", self.success_m, 10.0), ("dt", self.dt, 0.02)]
         {

@@ -69,14 +69,9 @@ impl Formatter for LineFormatter {
         if pretty { self.pretty.end_object(w) } else { w.write_all(b"}") }
     }
 
+    /// Keys are laid out as elements of an array.
     fn begin_object_key<W: ?Sized + Write>(&mut self, w: &mut W, first: bool) -> io::Result<()> {
-        if self.is_pretty() {
-            self.pretty.begin_object_key(w, first)
-        } else if first {
-            Ok(())
-        } else {
-            w.write_all(b", ")
-        }
+        self.begin_array_value(w, first)
     }
 
     fn begin_object_value<W: ?Sized + Write>(&mut self, w: &mut W) -> io::Result<()> {
@@ -84,7 +79,7 @@ impl Formatter for LineFormatter {
     }
 
     fn end_object_value<W: ?Sized + Write>(&mut self, w: &mut W) -> io::Result<()> {
-        if self.is_pretty() { self.pretty.end_object_value(w) } else { Ok(()) }
+        self.end_array_value(w)
     }
 }
 

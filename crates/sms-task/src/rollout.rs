@@ -4,9 +4,9 @@ use crate::body::horizontal;
 use crate::resolved::Objective;
 use crate::terms::{TermTracker, is_indispensable};
 use crate::{BodyTrack, ClosestApproach, ResolvedTask, TaskError, Trajectory};
-use glamx::{DVec2, DVec3};
+use glamx::{DMat3, DVec2, DVec3};
 use sms_core::InputError;
-use sms_scene::{BodyKind, BodyShape, Scene};
+use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{
     BodyId, BodyState, ContactEvent, PhysicsViolation, SimError, Simulation, Striker, WorldFactory,
     WorldOptions,
@@ -91,6 +91,21 @@ struct Mover {
     least_inertia: f64,
 }
 
+impl Mover {
+    fn of(id: BodyId, body: &Body) -> Self {
+        let radius = match body.shape {
+            BodyShape::Sphere { radius } => Some(radius),
+            _ => None,
+        };
+        let (mass, i) = body.mass.map_or((0.0, DMat3::ZERO), |m| (m.mass(), m.inertia()));
+        // Gershgorin's bound on the smallest eigenvalue.
+        let least = |k: usize| i.row(k)[k] - (i.row(k).abs().element_sum() - i.row(k)[k].abs());
+        let inertia = i.x_axis.x.max(i.y_axis.y).max(i.z_axis.z);
+        let least_inertia = least(0).min(least(1)).min(least(2)).max(0.0);
+        Self { id, name: body.name.clone(), radius, mass, inertia, least_inertia }
+    }
+}
+
 impl ResolvedTask {
     /// Returns the bodies of a world built from `scene`. The target is called `target`, and the other bodies keep their
     /// names.
@@ -117,28 +132,7 @@ impl ResolvedTask {
             .iter()
             .enumerate()
             .filter(|(_, b)| b.kind == BodyKind::Dynamic)
-            .map(|(id, b)| Mover {
-                id,
-                name: b.name.clone(),
-                radius: match b.shape {
-                    BodyShape::Sphere { radius } => Some(radius),
-                    _ => None,
-                },
-                mass: b.mass.map_or(0.0, |m| m.mass()),
-                inertia: b.mass.map_or(0.0, |m| {
-                    let i = m.inertia();
-                    i.x_axis.x.max(i.y_axis.y).max(i.z_axis.z)
-                }),
-                least_inertia: b.mass.map_or(0.0, |m| {
-                    let i = m.inertia();
-                    // Gershgorin's bound on the smallest eigenvalue.
-                    let least = |k: usize| {
-                        let row = i.row(k);
-                        row[k] - (row.abs().element_sum() - row[k].abs())
-                    };
-                    least(0).min(least(1)).min(least(2)).max(0.0)
-                }),
-            })
+            .map(|(id, b)| Mover::of(id, b))
             .collect();
         let missing = |name: &str| {
             let names: Vec<&str> = dynamic.iter().map(|m| m.name.as_str()).collect();
@@ -422,12 +416,7 @@ fn arena_of(scene: &Scene) -> (DVec2, f64) {
             // The centre of the ball, extended by its radius in every direction.
             BodyShape::Sphere { radius } => {
                 let r = *radius;
-                vec![
-                    DVec3::new(r, r, 0.0),
-                    DVec3::new(-r, r, 0.0),
-                    DVec3::new(r, -r, 0.0),
-                    DVec3::new(-r, -r, 0.0),
-                ]
+                [(r, r), (-r, r), (r, -r), (-r, -r)].map(|(x, y)| DVec3::new(x, y, 0.0)).to_vec()
             }
             shape => shape.meshes().into_iter().flat_map(|m| m.vertices).collect(),
         };

@@ -68,29 +68,24 @@ impl Selector {
         Self { name: Some(name.into()), ..Self::default() }
     }
 
-    /// Selects the dynamic body nearest to a world point.
-    pub fn near(p_w: DVec3) -> Self {
-        Self { near: Some(p_w.to_array()), ..Self::default() }
-    }
-
     /// Selects the sphere of a colour.
     pub fn sphere_of_color(word: impl Into<String>) -> Self {
         Self { color: Some(ColorName::Word(word.into())), sphere: Some(true), ..Self::default() }
     }
 
     /// The fault of the selector itself, independent of a scene.
-    pub(crate) fn fault(&self) -> Option<SelectorFault> {
+    pub(crate) fn fault(&self) -> Option<String> {
         let ways = [self.name.is_some(), self.near.is_some(), self.color.is_some()];
         if ways.iter().filter(|&&w| w).count() != 1 {
-            return Some(SelectorFault::Ambiguous);
+            return Some("give exactly one of `name`, `near` and `color`".to_owned());
         }
         if self.near.is_some_and(|p| p.iter().any(|v| !v.is_finite())) {
-            return Some(SelectorFault::NotFinite);
+            return Some("`near` must be three finite numbers in metres".to_owned());
         }
-        if self.color.as_ref().is_some_and(|c| c.srgb().is_none()) {
-            return Some(SelectorFault::UnknownColor);
-        }
-        None
+        self.color.as_ref().is_some_and(|c| c.srgb().is_none()).then(|| {
+            let words = COLOR_WORDS.map(|(word, _)| word).join(", ");
+            format!("unknown colour; use [r, g, b] or one of: {words}")
+        })
     }
 
     /// Index of the selected body in the scene; `None` if no dynamic body matches. Ties go to the first body of the
@@ -114,30 +109,6 @@ impl Selector {
             .filter(|(_, b)| self.sphere.is_none_or(|s| s == matches!(b.shape, BodyShape::Sphere { .. })))
             .min_by(|(_, a), (_, b)| badness(a).total_cmp(&badness(b)))
             .map(|(i, _)| i)
-    }
-}
-
-/// A fault of a selector.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum SelectorFault {
-    /// None or several of the three ways to select.
-    Ambiguous,
-    /// A place that is not finite.
-    NotFinite,
-    /// A colour word that is not in [`COLOR_WORDS`].
-    UnknownColor,
-}
-
-impl fmt::Display for SelectorFault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Ambiguous => f.write_str("give exactly one of `name`, `near` and `color`"),
-            Self::NotFinite => f.write_str("`near` must be three finite numbers in metres"),
-            Self::UnknownColor => {
-                let words: Vec<&str> = COLOR_WORDS.iter().map(|&(word, _)| word).collect();
-                write!(f, "unknown colour; use [r, g, b] or one of: {}", words.join(", "))
-            }
-        }
     }
 }
 
@@ -219,10 +190,10 @@ mod tests {
 
     #[test]
     fn faults_are_named() {
-        assert_eq!(Selector::default().fault(), Some(SelectorFault::Ambiguous));
         let two = Selector { near: Some([0.0; 3]), ..Selector::by_name("a") };
-        assert_eq!(two.fault(), Some(SelectorFault::Ambiguous));
-        assert_eq!(Selector::sphere_of_color("mauve").fault(), Some(SelectorFault::UnknownColor));
+        let faults = [Selector::default(), two, Selector::sphere_of_color("mauve")].map(|s| s.fault());
+        assert!(faults[0].is_some() && faults[0] == faults[1] && faults[2].is_some(), "{faults:?}");
+        assert_ne!(faults[1], faults[2]);
         assert_eq!(Selector::sphere_of_color("White").fault(), None);
     }
 }

@@ -1,6 +1,6 @@
 //! The general task as a file: strike one body to minimise a weighted sum of terms.
 
-use crate::billiards::{self, StrikeSettings};
+use crate::billiards::{self, StrikeSettings, fault};
 use crate::{ActionBounds, ActionForm, Selector, StrikerMaterial, Term};
 use serde::{Deserialize, Serialize};
 use sms_core::InputError;
@@ -33,7 +33,7 @@ pub struct Strike {
     #[serde(default = "billiards::default_success_m")]
     pub success_m: f64,
     /// The parameters of an action.
-    #[serde(default = "billiards::default_form")]
+    #[serde(default)]
     pub form: ActionForm,
     /// Ranges of these parameters.
     #[serde(default)]
@@ -60,7 +60,7 @@ impl Strike {
             towards_w: None,
             horizon_s: billiards::default_horizon_s(),
             success_m: billiards::default_success_m(),
-            form: billiards::default_form(),
+            form: ActionForm::default(),
             bounds: ActionBounds::default(),
             striker: StrikerMaterial::default(),
             dt: billiards::default_dt(),
@@ -75,19 +75,15 @@ impl Strike {
     /// [`InputError`] that names the file and the key.
     pub fn validate(&self) -> Result<(), InputError> {
         let path = self.path();
-        let fault = |key: &str, why: &str| {
-            let what = format!("`{key}` in this task file cannot be used: {why}");
-            Err(InputError::new(what, path, format!("correct `{key}`")))
-        };
         if let Some(why) = self.strike.fault() {
-            return fault("strike", &why.to_string());
+            return fault(path, "strike", &why);
         }
         if self.towards_w.is_some_and(|p| p.iter().any(|v| !v.is_finite())) {
-            return fault("towards_w", "it must be two finite numbers, x and y in metres");
+            return fault(path, "towards_w", "it must be two finite numbers, x and y in metres");
         }
         self.common().validate(path)?;
         if self.terms.is_empty() {
-            return fault("terms", "it is empty; write at least one [[terms]] with a `term`");
+            return fault(path, "terms", "it is empty; write at least one [[terms]] with a `term`");
         }
         self.terms.iter().enumerate().try_for_each(|(i, t)| t.validate(i, self.horizon_s, self.dt, path))
     }

@@ -27,14 +27,12 @@ impl Task {
         refuse_robot(&table, path)?;
         match table.get("kind").and_then(toml::Value::as_str) {
             Some("billiards") => {
-                let mut task: Billiards = atomic::read_toml(path)?;
-                task.source = path.to_owned();
+                let task = Billiards { source: path.to_owned(), ..atomic::read_toml(path)? };
                 task.validate()?;
                 Ok(Self::Billiards(task))
             }
             Some("strike") => {
-                let mut task: Strike = atomic::read_toml(path)?;
-                task.source = path.to_owned();
+                let task = Strike { source: path.to_owned(), ..atomic::read_toml(path)? };
                 task.validate()?;
                 Ok(Self::Strike(task))
             }

@@ -200,33 +200,24 @@ impl Term {
         }
     }
 
-    /// The bodies of the term.
-    pub fn bodies(&self) -> &TermBodies {
+    /// The bodies, the weight, and the span of time that counts.
+    fn common(&self) -> (&TermBodies, f64, [f64; 2]) {
         match self {
-            Self::Reach { body, .. }
-            | Self::Avoid { body, .. }
-            | Self::KeepStill { body, .. }
-            | Self::Topple { body, .. } => body,
+            Self::Reach { body, weight, between_s, .. }
+            | Self::Avoid { body, weight, between_s, .. }
+            | Self::KeepStill { body, weight, between_s }
+            | Self::Topple { body, weight, between_s, .. } => (body, *weight, *between_s),
         }
     }
 
-    pub(crate) fn weight(&self) -> f64 {
-        match self {
-            Self::Reach { weight, .. }
-            | Self::Avoid { weight, .. }
-            | Self::KeepStill { weight, .. }
-            | Self::Topple { weight, .. } => *weight,
-        }
+    /// The bodies of the term.
+    pub fn bodies(&self) -> &TermBodies {
+        self.common().0
     }
 
     /// The span of time that counts, seconds.
     pub(crate) fn between_s(&self) -> [f64; 2] {
-        match self {
-            Self::Reach { between_s, .. }
-            | Self::Avoid { between_s, .. }
-            | Self::KeepStill { between_s, .. }
-            | Self::Topple { between_s, .. } => *between_s,
-        }
+        self.common().2
     }
 
     pub(crate) fn validate(
@@ -240,22 +231,22 @@ impl Term {
             let what = format!("`terms[{index}]` ({}) in this task file cannot be used: {why}", self.name());
             Err(InputError::new(what, path, "correct this term"))
         };
-        if let TermBodies::One(selector) = self.bodies()
+        let (bodies, weight, [from, to]) = self.common();
+        if let TermBodies::One(selector) = bodies
             && let Some(why) = selector.fault()
         {
             return fault(&format!("`body`: {why}"));
         }
-        if !(self.weight() > 0.0 && self.weight() <= 1e6) {
+        if !(weight > 0.0 && weight <= 1e6) {
             return fault("`weight` must be above 0 and at most 1e6");
         }
-        let [from, to] = self.between_s();
         if !(0.0 <= from && to - from >= 2.0 * dt && from < horizon_s) {
             return fault(
                 "`between_s` must be [from, to] with from at least 0 and before the horizon's end, and two time steps or \
                  more between them",
             );
         }
-        if is_indispensable(self) && matches!(self.bodies(), TermBodies::Others(_)) {
+        if is_indispensable(self) && matches!(bodies, TermBodies::Others(_)) {
             return fault("it needs the name of one body; \"others\" is for `avoid` and `keep-still`");
         }
         match self {
@@ -371,7 +362,7 @@ impl<'a> TermTracker<'a> {
 
     /// The contribution to the objective, metres.
     pub(crate) fn cost(&self) -> f64 {
-        self.term.weight() * self.value
+        self.term.common().1 * self.value
     }
 
     /// Whether the cost cannot become smaller.

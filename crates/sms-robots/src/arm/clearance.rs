@@ -1,9 +1,10 @@
 //! Self-collision and distance to obstacles.
 
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::{LinkCollision, RobotModel};
-use crate::arm::shape::{Clearance, Obstacle, distance, obstacle_distance};
+use crate::arm::model::LinkCollision;
+use crate::arm::shape::{Clearance, distance, obstacle_distance};
+use crate::{Obstacle, RobotModel, Workspace};
 use glamx::DPose3;
+use std::f64::consts::PI;
 
 /// Number of sampled postures that determine which shapes always overlap, and the share of them that counts as always.
 const PROBES: usize = 64;
@@ -26,11 +27,8 @@ impl RobotModel {
         for &(i, j) in &self.pairs {
             let (a, b) = (&self.collisions[i], &self.collisions[j]);
             let gap = bounding_gap(&self.collisions, poses, i, j);
-            if gap > enough.min(best.0) {
-                best = if gap < best.0 { (gap, Some((i, j))) } else { best };
-                continue;
-            }
-            let d = distance(&a.shape, &poses[i], &b.shape, &poses[j]);
+            let is_far = gap > enough.min(best.0);
+            let d = if is_far { gap } else { distance(&a.shape, &poses[i], &b.shape, &poses[j]) };
             if d < best.0 {
                 best = (d, Some((i, j)));
             }
@@ -81,14 +79,11 @@ impl RobotModel {
         let neighbours = |a: Option<usize>, b: Option<usize>| {
             a == b || (b.is_some() && parent(b) == a) || (a.is_some() && parent(a) == b)
         };
-        let mut pairs = Vec::new();
-        for i in 0..self.collisions.len() {
-            for j in i + 1..self.collisions.len() {
-                if !neighbours(self.collisions[i].joint, self.collisions[j].joint) {
-                    pairs.push((i, j));
-                }
-            }
-        }
+        let count = self.collisions.len();
+        let mut pairs: Vec<(usize, usize)> = (0..count)
+            .flat_map(|i| (i + 1..count).map(move |j| (i, j)))
+            .filter(|&(i, j)| !neighbours(self.collisions[i].joint, self.collisions[j].joint))
+            .collect();
         let mut touching = vec![0usize; pairs.len()];
         let mut ws = Workspace::default();
         let mut poses = Vec::new();
@@ -97,9 +92,9 @@ impl RobotModel {
             self.forward_kinematics(&q, &mut ws);
             self.shape_poses(&ws, &mut poses);
             for (count, &(i, j)) in touching.iter_mut().zip(&pairs) {
+                let (a, b) = (&self.collisions[i].shape, &self.collisions[j].shape);
                 let apart = bounding_gap(&self.collisions, &poses, i, j) > 0.0
-                    || distance(&self.collisions[i].shape, &poses[i], &self.collisions[j].shape, &poses[j])
-                        > 0.0;
+                    || distance(a, &poses[i], b, &poses[j]) > 0.0;
                 *count += usize::from(!apart);
             }
         }
@@ -117,11 +112,8 @@ impl RobotModel {
             .map(|(joint, prime)| {
                 // Skips the first samples, in which the large bases are correlated.
                 let share = if index == 0 { 0.5 } else { halton(index as u32 + 60, prime) };
-                let (low, high) = if joint.limits.lower.is_finite() {
-                    (joint.limits.lower, joint.limits.upper)
-                } else {
-                    (-std::f64::consts::PI, std::f64::consts::PI)
-                };
+                let limits = (joint.limits.lower, joint.limits.upper);
+                let (low, high) = if limits.0.is_finite() { limits } else { (-PI, PI) };
                 low + share * (high - low)
             })
             .collect()

@@ -4,7 +4,7 @@ use crate::{FIST_HALF, RobotModel, StrikeConfig, UrdfOptions};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// The robot and the pose of its base.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -57,47 +57,42 @@ impl RobotConfig {
     /// [`InputError`] that names the key.
     pub fn validate(&self) -> Result<(), InputError> {
         let r = Ranges::of("robot");
+        let fault = |key: &str, what: String, cure: &str| {
+            Err(InputError::new(what, "(settings)", cure).at_key(format!("robot.{key}")))
+        };
         r.within("front_m", self.front_m, 1e-3, 1.0)?;
         if let Some(half) = self.tool_half_m {
             for (k, axis) in ["x", "y", "z"].into_iter().enumerate() {
                 r.within(&format!("tool_half_m ({axis})"), half[k], 1e-3, 1.0)?;
             }
             if self.front_m != FIST_HALF.x && (self.front_m - half[0]).abs() > 1e-9 {
-                return Err(InputError::new(
+                return fault(
+                    "front_m",
                     format!(
                         "`robot.front_m` is {}, and `robot.tool_half_m` begins with {}",
                         self.front_m, half[0]
                     ),
-                    Path::new("(settings)"),
                     "leave `front_m` out: the box reaches as far ahead as behind the tool's origin",
-                )
-                .at_key("robot.front_m"));
+                );
             }
         }
         r.within("period_s", self.period_s, 1e-4, 0.1)?;
         for (key, matrix) in
             [("x_world_robot", &self.x_world_robot), ("x_recording_robot", &self.x_recording_robot)]
         {
-            if let Some(m) = matrix
-                && pose_of(m).is_none()
-            {
-                return Err(InputError::new(
+            if matrix.as_ref().is_some_and(|m| pose_of(m).is_none()) {
+                return fault(
+                    key,
                     format!(
                         "`robot.{key}` is not a rigid pose: its rotation is not orthonormal, or its last row is not 0 0 0 1"
                     ),
-                    Path::new("(settings)"),
                     "give [[r, r, r, x], [r, r, r, y], [r, r, r, z], [0, 0, 0, 1]] with metres",
-                )
-                .at_key(format!("robot.{key}")));
+                );
             }
         }
         if self.x_world_robot.is_some() && self.x_recording_robot.is_some() {
-            return Err(InputError::new(
-                "`robot.x_world_robot` and `robot.x_recording_robot` exclude each other",
-                Path::new("(settings)"),
-                "keep one of them",
-            )
-            .at_key("robot.x_world_robot"));
+            let what = "`robot.x_world_robot` and `robot.x_recording_robot` exclude each other";
+            return fault("x_world_robot", what.to_owned(), "keep one of them");
         }
         Ok(())
     }
@@ -131,17 +126,9 @@ impl RobotConfig {
     /// # Errors
     /// [`InputError`] of the URDF.
     pub fn model(&self) -> Result<RobotModel, InputError> {
-        match &self.urdf {
-            None => Ok(RobotModel::fr3()),
-            Some(path) => {
-                let options = UrdfOptions {
-                    tool: self.tool.clone(),
-                    package_folders: self.package_folders.clone(),
-                    ..UrdfOptions::default()
-                };
-                RobotModel::from_urdf(path, &options)
-            }
-        }
+        let Some(path) = &self.urdf else { return Ok(RobotModel::fr3()) };
+        let (tool, package_folders) = (self.tool.clone(), self.package_folders.clone());
+        RobotModel::from_urdf(path, &UrdfOptions { tool, package_folders, ..UrdfOptions::default() })
     }
 }
 

@@ -1,7 +1,6 @@
 //! The robot model: a tree of bodies, each carried by one joint.
 
-use crate::arm::dynamics::linalg::{MAX_JOINTS, point_inertia};
-use crate::arm::shape::LinkShape;
+use crate::LinkShape;
 use glamx::{DMat3, DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{InertiaError, MassProperties};
@@ -165,11 +164,6 @@ impl RobotModel {
         self
     }
 
-    /// Gravity, m/s² in the world.
-    pub fn gravity_w(&self) -> DVec3 {
-        self.gravity_w
-    }
-
     /// The resting posture from which approaches start: the middle of each joint's range, unless the model defines
     /// another.
     pub fn home(&self) -> &[f64] {
@@ -187,24 +181,9 @@ impl RobotModel {
         self
     }
 
-    /// The joint nearest to (or farthest beyond) a position limit: index and distance, negative beyond.
-    pub fn limit_margin(&self, q: &[f64]) -> (usize, f64) {
-        (0..self.dof())
-            .map(|i| (i, (q[i] - self.joints[i].limits.lower).min(self.joints[i].limits.upper - q[i])))
-            .min_by(|a, b| a.1.total_cmp(&b.1))
-            .unwrap_or((0, f64::INFINITY))
-    }
-
-    /// Whether joint `ancestor` carries joint `joint` (or is it).
-    pub(crate) fn carries(&self, ancestor: usize, joint: Option<usize>) -> bool {
-        let mut j = joint;
-        while let Some(i) = j {
-            if i == ancestor {
-                return true;
-            }
-            j = self.joints[i].parent;
-        }
-        false
+    /// A joint and those that carry it, towards the base.
+    pub(crate) fn chain(&self, joint: Option<usize>) -> impl Iterator<Item = usize> {
+        std::iter::successors(joint, move |&i| self.joints[i].parent)
     }
 }
 
@@ -223,7 +202,12 @@ pub(crate) fn transformed(m: &MassProperties, x_ab: &DPose3) -> Result<MassPrope
     MassProperties::new(m.mass(), x_ab.transform_point(m.com()), r * m.inertia() * r.transpose())
 }
 
-/// Whether a model is small enough for the fixed work space.
-pub(crate) fn fits(joints: usize) -> bool {
-    joints <= MAX_JOINTS
+/// The inertia of a unit point mass at `r`: (r·r) 1 − r rᵀ.
+pub(crate) fn point_inertia(r: DVec3) -> DMat3 {
+    let d = r.length_squared();
+    DMat3::from_cols(
+        DVec3::new(d - r.x * r.x, -r.x * r.y, -r.x * r.z),
+        DVec3::new(-r.y * r.x, d - r.y * r.y, -r.y * r.z),
+        DVec3::new(-r.z * r.x, -r.z * r.y, d - r.z * r.z),
+    )
 }

@@ -220,21 +220,18 @@ pub(crate) fn obstacle_distance(
     let gap_to = |(center, radius): (DVec3, f64)| {
         obstacle.x_wo.transform_point(center).distance(x_wa.translation) - radius - a_radius
     };
+    let gap = gap_to(obstacle.bounds);
+    if gap > enough {
+        return gap;
+    }
     match &obstacle.shape {
         ObstacleShape::HalfSpace => {
             let normal_w = obstacle.x_wo.rotation * DVec3::Z;
             let down_a = x_wa.rotation.inverse() * -normal_w;
             normal_w.dot(x_wa.translation - obstacle.x_wo.translation) - a.support(down_a)
         }
-        ObstacleShape::Link(b) => {
-            let gap = gap_to(obstacle.bounds);
-            if gap > enough { gap } else { distance(a, x_wa, b, &obstacle.x_wo) }
-        }
+        ObstacleShape::Link(b) => distance(a, x_wa, b, &obstacle.x_wo),
         ObstacleShape::Hulls(parts) => {
-            let gap = gap_to(obstacle.bounds);
-            if gap > enough {
-                return gap;
-            }
             let mut nearest = f64::INFINITY;
             for (b, &bounds) in parts.iter().zip(&obstacle.part_bounds) {
                 let most = enough.min(nearest);
@@ -247,10 +244,6 @@ pub(crate) fn obstacle_distance(
             nearest
         }
         ObstacleShape::Surface(mesh) => {
-            let gap = gap_to(obstacle.bounds);
-            if gap > enough {
-                return gap;
-            }
             a.with_parry(|sa| general_distance(sa, &a.parry_pose(x_wa), mesh.as_ref(), &obstacle.x_wo))
         }
     }
@@ -273,10 +266,8 @@ fn general_distance(a: &dyn Shape, x_wa: &DPose3, b: &dyn Shape, x_wb: &DPose3) 
     if apart > 0.0 {
         return apart;
     }
-    match query::contact(x_wa, a, x_wb, b, 0.0) {
-        Ok(Some(contact)) => contact.dist.min(0.0),
-        _ => 0.0,
-    }
+    let contact = query::contact(x_wa, a, x_wb, b, 0.0).ok().flatten();
+    contact.map_or(0.0, |contact| contact.dist.min(0.0))
 }
 
 /// Distance of two segments, each centre ± half (Ericson, "Real-Time Collision Detection", 5.1.9).

@@ -28,8 +28,7 @@ pub struct MissionItem {
     pub command: u16,
     /// `MAV_FRAME`.
     pub frame: u8,
-    /// Parameters 1 to 7. For a place, 5 to 7 are latitude and longitude in degrees and the height in metres. NaN: not
-    /// set.
+    /// Parameters 1 to 7. For a place, 5 to 7 are latitude and longitude in degrees and the height in metres.
     pub params: [f64; 7],
 }
 
@@ -88,7 +87,6 @@ impl Mission {
     /// The mission as a plan of QGroundControl (JSON, version 1).
     pub fn plan(&self) -> Value {
         let home = self.home;
-        let number = |v: f64| if v.is_nan() { Value::Null } else { json!(v) };
         let items: Vec<Value> = self
             .items
             .iter()
@@ -99,12 +97,12 @@ impl Mission {
                     "command": item.command,
                     "doJumpId": i + 1,
                     "frame": item.frame,
-                    "params": item.params.map(number),
+                    "params": item.params,
                     "type": "SimpleItem",
                 });
                 if item.frame == ABOVE_HOME {
                     value["AMSLAltAboveTerrain"] = Value::Null;
-                    value["Altitude"] = number(item.params[6]);
+                    value["Altitude"] = json!(item.params[6]);
                     value["AltitudeMode"] = json!(1);
                 }
                 value
@@ -139,7 +137,7 @@ impl Mission {
             for (k, p) in params.iter().enumerate() {
                 // A latitude of 1e-9° is a tenth of a millimetre.
                 let digits = if (4..6).contains(&k) { 9 } else { 4 };
-                let _ = write!(text, "\t{:.digits$}", if p.is_nan() { 0.0 } else { *p });
+                let _ = write!(text, "\t{:.digits$}", p);
             }
             text.push_str("\t1\n");
         };

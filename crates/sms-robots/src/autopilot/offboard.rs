@@ -49,19 +49,11 @@ pub fn write_csv(path: &Path, points: &[SetPoint]) -> Result<(), CoreError> {
     let mut text = String::from("time_s,north_m,east_m,down_m,vn_m_s,ve_m_s,vd_m_s,heading_rad,phase\n");
     for s in points {
         let (p, v) = (s.p_ned, s.v_ned);
-        let _ = writeln!(
-            text,
-            "{:.4},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{}",
-            s.time_s,
-            p.x,
-            p.y,
-            p.z,
-            v.x,
-            v.y,
-            v.z,
-            s.heading,
-            s.phase.as_str()
-        );
+        let _ = write!(text, "{:.4}", s.time_s);
+        for value in [p.x, p.y, p.z, v.x, v.y, v.z, s.heading] {
+            let _ = write!(text, ",{value:.5}");
+        }
+        let _ = writeln!(text, ",{}", s.phase.as_str());
     }
     atomic::write_bytes(path, text.as_bytes())
 }
@@ -82,7 +74,7 @@ pub fn write_tlog(path: &Path, points: &[SetPoint]) -> Result<(), CoreError> {
 
 /// A MAVLink 2 frame without accelerations and yaw rate.
 fn frame(point: &SetPoint, sequence: u8) -> Vec<u8> {
-    let ([x, y, z], [vx, vy, vz]) = (single(point.p_ned), single(point.v_ned));
+    let ([x, y, z], [vx, vy, vz]) = (point.p_ned.as_vec3().to_array(), point.v_ned.as_vec3().to_array());
     let message = MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
         time_boot_ms: (point.time_s * 1e3).round() as u32,
         x,
@@ -105,10 +97,6 @@ fn frame(point: &SetPoint, sequence: u8) -> Vec<u8> {
     let mut raw = MAVLinkV2MessageRaw::new();
     raw.serialize_message(MavHeader { system_id: system_id.into(), component_id, sequence }, &message);
     raw.raw_bytes().to_vec()
-}
-
-fn single(v: DVec3) -> [f32; 3] {
-    v.to_array().map(|c| c as f32)
 }
 
 #[cfg(test)]

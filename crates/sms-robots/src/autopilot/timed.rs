@@ -70,16 +70,19 @@ pub fn timed(flight: &Flight, period_s: f64) -> TimedFlight {
     times.dedup_by(|a, b| *a - *b < 1e-9);
     let point = |time_s: f64| {
         let state = flight.state(time_s);
-        let (x, y) = {
-            let forward_w = state.x_wv.rotation * DVec3::X;
-            (forward_w.x, forward_w.y)
-        };
+        let forward_w = state.x_wv.rotation * DVec3::X;
         let phase = match time_s {
             t if t >= cut_s => FlightPhase::Cut,
             t if t >= arrival_s => FlightPhase::Descent,
             _ => FlightPhase::Approach,
         };
-        TimedPoint { time_s, p_w: state.x_wv.translation, v_w: state.v_w, yaw: y.atan2(x), phase }
+        TimedPoint {
+            time_s,
+            p_w: state.x_wv.translation,
+            v_w: state.v_w,
+            yaw: forward_w.y.atan2(forward_w.x),
+            phase,
+        }
     };
     TimedFlight {
         frame: "world of the run: metres, z up; the vehicle's centre of mass; yaw in radians about z from x"
@@ -98,14 +101,6 @@ impl TimedFlight {
     /// [`CoreError::Write`].
     pub fn write_json(&self, path: &Path) -> Result<(), CoreError> {
         atomic::write_json(path, self)
-    }
-
-    /// Reads the JSON file.
-    ///
-    /// # Errors
-    /// [`CoreError`] that names the file.
-    pub fn read_json(path: &Path) -> Result<Self, CoreError> {
-        atomic::read_json(path)
     }
 
     /// Writes one row per point to a Parquet file: `time_s`, `x`, `y`, `z` (m), `vx`, `vy`, `vz` (m/s), `yaw` (rad),
@@ -179,7 +174,7 @@ pub(crate) mod tests {
         let timed = timed(&flight(), 0.1);
         let json = dir.path().join("flight.json");
         timed.write_json(&json).unwrap();
-        assert_eq!(TimedFlight::read_json(&json).unwrap(), timed);
+        assert_eq!(atomic::read_json::<TimedFlight>(&json).unwrap(), timed);
         let parquet = dir.path().join("flight.parquet");
         timed.write_parquet(&parquet).unwrap();
         let table = read_table(&parquet).unwrap();

@@ -1,7 +1,7 @@
 //! Kinematics and dynamics against Pinocchio (tables of `oracle/make_tables.py`).
 
 use glamx::DMat3;
-use sms_robots::{Jacobian, JointKind, MAX_JOINTS, OffChain, RobotModel, UrdfOptions, Workspace};
+use sms_robots::{Jacobian, JointKind, OffChain, RobotModel, UrdfOptions, Workspace};
 use std::path::Path;
 
 /// Largest difference to an entry, relative to the largest entry of the block (the vector or matrix of that state).
@@ -62,8 +62,7 @@ fn compare(model: &RobotModel, table: &str, seed: u64, states: usize) {
         model.bias_torques(&q, &v, &mut ws, &mut tau);
         check(&tau);
         let drift = model.frame_acceleration(model.tool(), &ws);
-        let mut mass = [[0.0; MAX_JOINTS]; MAX_JOINTS];
-        model.mass_matrix(&mut ws, &mut mass);
+        let mass = *model.mass_matrix(&mut ws);
         check(&(0..n).flat_map(|i| mass[i][i..n].to_vec()).collect::<Vec<_>>());
         let mut jacobian = Jacobian::default();
         model.jacobian(model.tool(), &ws, &mut jacobian);

@@ -1,32 +1,17 @@
 //! Inverse kinematics: Levenberg-Marquardt with limits from many starts.
 
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::{Jacobian, JointVector, Workspace};
-use crate::arm::model::RobotModel;
+use crate::arm::dynamics::workspace::joint_vector;
+use crate::{Jacobian, JointVector, MAX_JOINTS, RobotModel, Workspace};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::Cholesky;
-
-/// Target of the tool.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum IkTarget {
-    /// Pose `X_WT` of the tool in the world.
-    Pose(DPose3),
-    /// Position of the tool's origin and direction of its z axis; the turn about that axis is free.
-    Axis {
-        /// Position of the origin, metres in the world.
-        position_w: DVec3,
-        /// Direction of the z axis in the world, a unit vector.
-        z_w: DVec3,
-    },
-}
 
 /// Settings of the inverse kinematics.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IkConfig {
-    /// Number of starts: the given posture, home, the middle of the ranges, then postures spread over the ranges. Every
-    /// other start is pulled to the middle of the ranges.
+    /// Number of starts: home, the middle of the ranges, then postures spread over the ranges. Every other start is
+    /// pulled to the middle of the ranges.
     pub starts: usize,
     /// Largest number of iterations per start.
     pub iterations: usize,
@@ -103,30 +88,24 @@ struct StepSettings {
 }
 
 impl RobotModel {
-    /// Returns all distinct postures found that put the tool at `target`, ordered by distance from limits times
-    /// manipulability, best first. `near` is an additional start.
+    /// Returns all distinct postures found that put the tool at the pose `target` in the world, ordered by distance from
+    /// limits times manipulability, best first.
     ///
     /// # Errors
     /// [`Unreachable`] when no start converges.
     pub fn inverse_kinematics(
         &self,
-        target: &IkTarget,
-        near: Option<&[f64]>,
+        target: &DPose3,
         config: &IkConfig,
         ws: &mut Workspace,
     ) -> Result<Vec<IkSolution>, Unreachable> {
         let mut found: Vec<IkSolution> = Vec::new();
         let mut nearest: Option<(f64, Unreachable)> = None;
         for start in 0..config.starts.max(1) {
-            let mut q: JointVector = [0.0; MAX_JOINTS];
-            let from = match (start, near) {
-                (0, Some(near)) => near.to_vec(),
-                (0, None) | (1, Some(_)) => self.home.clone(),
-                _ => self.spread_posture(start - 1 - usize::from(near.is_some())),
-            };
-            q[..self.dof()].copy_from_slice(&from);
-            let (position, angle) =
-                self.descend(target, &mut q, config, if start % 2 == 0 { 0.3 } else { 0.0 }, ws);
+            let from = if start == 0 { self.home.clone() } else { self.spread_posture(start - 1) };
+            let mut q = joint_vector(&from);
+            let pull = if start % 2 == 0 { 0.3 } else { 0.0 };
+            let (position, angle) = self.descend(target, &mut q, config, pull, ws);
             if position <= config.position_tolerance_m && angle <= config.angle_tolerance_rad {
                 let q = q[..self.dof()].to_vec();
                 let same = |s: &IkSolution| s.q.iter().zip(&q).all(|(a, b)| (a - b).abs() < 1e-2);
@@ -159,13 +138,12 @@ impl RobotModel {
     /// [`Unreachable`] when the iteration does not converge.
     pub fn refine(
         &self,
-        target: &IkTarget,
+        target: &DPose3,
         q: &[f64],
         config: &IkConfig,
         ws: &mut Workspace,
     ) -> Result<Vec<f64>, Unreachable> {
-        let mut moved: JointVector = [0.0; MAX_JOINTS];
-        moved[..self.dof()].copy_from_slice(q);
+        let mut moved = joint_vector(q);
         let (position, angle) = self.descend(target, &mut moved, config, 0.0, ws);
         if position <= config.position_tolerance_m && angle <= config.angle_tolerance_rad {
             Ok(moved[..self.dof()].to_vec())
@@ -221,7 +199,7 @@ impl RobotModel {
     /// Steps move the joints that no limit blocks. In their null space the step leads to the middle of the ranges.
     fn descend(
         &self,
-        target: &IkTarget,
+        target: &DPose3,
         q: &mut JointVector,
         config: &IkConfig,
         pull: f64,
@@ -247,7 +225,7 @@ impl RobotModel {
             // The pull to the middle fades, so that the last steps converge quadratically.
             let fading = pull * 0.85f64.powi(iteration as i32);
             let settings = StepSettings { damping, pull: fading, margin: config.limit_margin };
-            let step = self.step(target, q, &error, &jacobian, &settings);
+            let step = self.step(q, &error, &jacobian, &settings);
             // Long steps are shortened as a whole: the model of the arm is linear only nearby.
             let longest = step[..n].iter().fold(0.0f64, |m, x| m.max(x.abs()));
             let share = if longest > 0.5 { 0.5 / longest } else { 1.0 };
@@ -275,7 +253,6 @@ impl RobotModel {
 
     fn step(
         &self,
-        target: &IkTarget,
         q: &JointVector,
         error: &[f64; 6],
         jacobian: &Jacobian,
@@ -283,7 +260,8 @@ impl RobotModel {
     ) -> JointVector {
         let StepSettings { damping, pull, margin } = *settings;
         let n = self.dof();
-        let rows = task_rows(target, jacobian);
+        let rows: [[f64; MAX_JOINTS]; 6] =
+            std::array::from_fn(|r| std::array::from_fn(|i| weight(r) * jacobian.get(r, i)));
         let mut free = [true; MAX_JOINTS];
         let mut step: JointVector = [0.0; MAX_JOINTS];
         let mut goal = *error;
@@ -328,36 +306,15 @@ impl RobotModel {
 }
 
 /// Position error (m) and attitude error (times [`LENGTH_M`]) in world axes.
-fn residual(target: &IkTarget, x_wt: &DPose3) -> [f64; 6] {
-    let (p, turn) = match target {
-        IkTarget::Pose(goal) => {
-            (goal.translation - x_wt.translation, rotation_vector(goal.rotation * x_wt.rotation.inverse()))
-        }
-        IkTarget::Axis { position_w, z_w } => {
-            let z = x_wt.rotation * DVec3::Z;
-            let cross = z.cross(*z_w);
-            let angle = cross.length().atan2(z.dot(*z_w));
-            let axis = cross.try_normalize().unwrap_or(x_wt.rotation * DVec3::X);
-            (*position_w - x_wt.translation, angle * axis)
-        }
-    };
-    let t = LENGTH_M * turn;
+fn residual(target: &DPose3, x_wt: &DPose3) -> [f64; 6] {
+    let p = target.translation - x_wt.translation;
+    let t = LENGTH_M * rotation_vector(target.rotation * x_wt.rotation.inverse());
     [p.x, p.y, p.z, t.x, t.y, t.z]
 }
 
-fn task_rows(target: &IkTarget, jacobian: &Jacobian) -> [[f64; MAX_JOINTS]; 6] {
-    let mut rows = [[0.0; MAX_JOINTS]; 6];
-    for i in 0..jacobian.dof {
-        let mut angular = LENGTH_M * jacobian.angular_w[i];
-        if let IkTarget::Axis { z_w, .. } = target {
-            angular -= angular.dot(*z_w) * *z_w;
-        }
-        for r in 0..3 {
-            rows[r][i] = jacobian.linear_w[i][r];
-            rows[r + 3][i] = angular[r];
-        }
-    }
-    rows
+/// Factor on row `r` of the Jacobian: angles are scaled by [`LENGTH_M`].
+fn weight(r: usize) -> f64 {
+    if r < 3 { 1.0 } else { LENGTH_M }
 }
 
 fn magnitudes(e: &[f64; 6]) -> (f64, f64) {
@@ -371,7 +328,6 @@ fn squared(e: &[f64; 6]) -> f64 {
 /// √det(J Jᵀ), angles scaled by [`LENGTH_M`].
 pub(crate) fn manipulability(jacobian: &Jacobian) -> f64 {
     let mut gram = [[0.0; 6]; 6];
-    let weight = |r: usize| if r < 3 { 1.0 } else { LENGTH_M };
     for r in 0..6 {
         for s in 0..=r {
             gram[r][s] = weight(r)

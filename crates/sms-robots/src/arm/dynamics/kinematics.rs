@@ -1,7 +1,7 @@
 //! Forward kinematics, Jacobians, velocities and accelerations, in world axes.
 
-use crate::arm::dynamics::workspace::{Jacobian, Moving, Workspace};
-use crate::arm::model::{FrameId, RobotModel};
+use crate::arm::dynamics::workspace::Moving;
+use crate::{FrameId, Jacobian, RobotModel, Workspace};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 
 impl RobotModel {
@@ -59,8 +59,7 @@ impl RobotModel {
         out.angular_w = Default::default();
         let Some(last) = data.joint else { return };
         let p_w = ws.placed[last].p_w + ws.placed[last].r_wj * data.x_jf.translation;
-        let mut joint = Some(last);
-        while let Some(i) = joint {
+        for i in self.chain(data.joint) {
             let axis = ws.placed[i].axis_w;
             if self.joints[i].kind.turns() {
                 out.linear_w[i] = axis.cross(p_w - ws.placed[i].p_w);
@@ -68,7 +67,6 @@ impl RobotModel {
             } else {
                 out.linear_w[i] = axis;
             }
-            joint = self.joints[i].parent;
         }
     }
 

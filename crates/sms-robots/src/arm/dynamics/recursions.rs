@@ -1,9 +1,9 @@
 //! Inverse dynamics (recursive Newton-Euler), the mass matrix (composite rigid bodies) and forward dynamics, in world
 //! axes (Featherstone, "Rigid Body Dynamics Algorithms", chapters 5 and 6).
 
-use crate::arm::dynamics::linalg::{MAX_JOINTS, point_inertia};
-use crate::arm::dynamics::workspace::{Composite, JointVector, MassMatrix, Workspace};
-use crate::arm::model::{FrameId, RobotModel};
+use crate::arm::dynamics::workspace::{Composite, MassMatrix};
+use crate::arm::model::point_inertia;
+use crate::{FrameId, JointVector, MAX_JOINTS, RobotModel, Workspace};
 use glamx::{DMat3, DVec3};
 use sms_core::Cholesky;
 
@@ -61,13 +61,7 @@ impl RobotModel {
     }
 
     /// The mass matrix M(q), with the rotors' inertia on its diagonal. After [`Self::forward_kinematics`].
-    pub fn mass_matrix(&self, ws: &mut Workspace, out: &mut MassMatrix) {
-        self.fill_mass_matrix(ws);
-        *out = ws.mass_matrix;
-    }
-
-    /// As [`Self::mass_matrix`], but leaves the result in the workspace.
-    pub(crate) fn fill_mass_matrix(&self, ws: &mut Workspace) {
+    pub fn mass_matrix<'a>(&self, ws: &'a mut Workspace) -> &'a MassMatrix {
         let n = self.dof();
         for (i, joint) in self.joints.iter().enumerate() {
             ws.composite[i] = joint.mass.map_or(Composite::default(), |m| {
@@ -86,8 +80,6 @@ impl RobotModel {
         }
         for i in 0..n {
             ws.mass_matrix[i][..n].fill(0.0);
-        }
-        for i in 0..n {
             let body = &ws.composite[i];
             let placed = &ws.placed[i];
             let (force, moment) = if self.joints[i].kind.turns() {
@@ -95,8 +87,7 @@ impl RobotModel {
             } else {
                 (body.mass * placed.axis_w, DVec3::ZERO)
             };
-            let mut joint = Some(i);
-            while let Some(j) = joint {
+            for j in self.chain(Some(i)) {
                 let other = &ws.placed[j];
                 let m = if self.joints[j].kind.turns() {
                     other.axis_w.dot(moment + (body.com - other.p_w).cross(force))
@@ -105,10 +96,10 @@ impl RobotModel {
                 };
                 ws.mass_matrix[i][j] = m;
                 ws.mass_matrix[j][i] = m;
-                joint = self.joints[j].parent;
             }
             ws.mass_matrix[i][i] += self.joints[i].armature;
         }
+        &ws.mass_matrix
     }
 
     /// Accelerations under torques `tau`: q̈ = M⁻¹ (τ − C q̇ − g). Friction and damping have to be subtracted by the
@@ -124,8 +115,7 @@ impl RobotModel {
         let n = self.dof();
         let mut bias: JointVector = [0.0; MAX_JOINTS];
         self.bias_torques(q, qd, ws, &mut bias);
-        self.fill_mass_matrix(ws);
-        let Some(factor) = Cholesky::new(&ws.mass_matrix, n) else { return false };
+        let Some(factor) = Cholesky::new(self.mass_matrix(ws), n) else { return false };
         for i in 0..n {
             qdd[i] = tau[i] - bias[i];
         }
@@ -140,9 +130,8 @@ impl RobotModel {
     pub fn point_mobility(&self, frame: FrameId, point_w: DVec3, ws: &mut Workspace) -> DMat3 {
         let mut rows = [[0.0; MAX_JOINTS]; 3];
         self.point_rows(frame, point_w, ws, &mut rows);
-        self.fill_mass_matrix(ws);
         let n = self.dof();
-        let Some(factor) = Cholesky::new(&ws.mass_matrix, n) else { return DMat3::ZERO };
+        let Some(factor) = Cholesky::new(self.mass_matrix(ws), n) else { return DMat3::ZERO };
         let columns = rows.map(|mut row| {
             factor.solve(&mut row[..n]);
             DVec3::from_array(std::array::from_fn(|r| (0..n).map(|i| rows[r][i] * row[i]).sum()))
@@ -162,13 +151,12 @@ impl RobotModel {
     ) {
         let mut rows = [[0.0; MAX_JOINTS]; 3];
         self.point_rows(frame, point_w, ws, &mut rows);
-        self.fill_mass_matrix(ws);
         let n = self.dof();
         let mut change: JointVector = [0.0; MAX_JOINTS];
         for i in 0..n {
             change[i] = (0..3).map(|r| rows[r][i] * impulse_w[r]).sum();
         }
-        if let Some(factor) = Cholesky::new(&ws.mass_matrix, n) {
+        if let Some(factor) = Cholesky::new(self.mass_matrix(ws), n) {
             factor.solve(&mut change[..n]);
             (0..n).for_each(|i| qd[i] += change[i]);
         }
@@ -176,8 +164,7 @@ impl RobotModel {
 
     /// Computes the rows of the Jacobian of a point fixed to a frame.
     fn point_rows(&self, frame: FrameId, point_w: DVec3, ws: &Workspace, rows: &mut [[f64; MAX_JOINTS]; 3]) {
-        let mut joint = self.frames[frame.0].joint;
-        while let Some(i) = joint {
+        for i in self.chain(self.frames[frame.0].joint) {
             let placed = &ws.placed[i];
             let along = if self.joints[i].kind.turns() {
                 placed.axis_w.cross(point_w - placed.p_w)
@@ -185,26 +172,13 @@ impl RobotModel {
                 placed.axis_w
             };
             (0..3).for_each(|r| rows[r][i] = along[r]);
-            joint = self.joints[i].parent;
         }
     }
 
     /// Kinetic energy, J. After [`Self::forward_kinematics`].
     pub fn kinetic_energy(&self, qd: &[f64], ws: &mut Workspace) -> f64 {
-        self.fill_mass_matrix(ws);
-        let n = self.dof();
-        0.5 * (0..n).map(|i| qd[i] * (0..n).map(|j| ws.mass_matrix[i][j] * qd[j]).sum::<f64>()).sum::<f64>()
-    }
-
-    /// Potential energy under gravity, J, zero with all masses at the world's origin. After
-    /// [`Self::forward_kinematics`].
-    pub fn potential_energy(&self, ws: &Workspace) -> f64 {
-        let of = |i: usize| {
-            self.joints[i].mass.map_or(0.0, |m| {
-                -m.mass() * self.gravity_w.dot(ws.placed[i].p_w + ws.placed[i].r_wj * m.com())
-            })
-        };
-        (0..self.dof()).map(of).sum()
+        let (n, m) = (self.dof(), self.mass_matrix(ws));
+        0.5 * (0..n).map(|i| qd[i] * (0..n).map(|j| m[i][j] * qd[j]).sum::<f64>()).sum::<f64>()
     }
 }
 

@@ -1,9 +1,7 @@
 //! Forward simulation of the arm in free space, for tests of the controller and for prediction.
 
-use crate::arm::control::osc::joint_friction;
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::{JointVector, Workspace};
-use crate::arm::model::RobotModel;
+use crate::arm::dynamics::workspace::joint_vector;
+use crate::{JointVector, MAX_JOINTS, RobotModel, Workspace, joint_friction};
 use glamx::{DPose3, DVec3};
 
 /// A robot under joint torques, with damping, Coulomb friction and rotor inertia. It has no contacts, and position
@@ -22,14 +20,7 @@ pub struct ArmSim {
 impl ArmSim {
     /// A robot at rest.
     pub fn new(q: &[f64]) -> Self {
-        let mut sim = Self {
-            q: [0.0; MAX_JOINTS],
-            qd: [0.0; MAX_JOINTS],
-            friction_scale: 1.0,
-            ws: Workspace::default(),
-        };
-        sim.q[..q.len()].copy_from_slice(q);
-        sim
+        Self { q: joint_vector(q), qd: [0.0; MAX_JOINTS], friction_scale: 1.0, ws: Workspace::default() }
     }
 
     /// Advances by `dt` seconds under constant torques, in one step of the classic Runge-Kutta method.
@@ -51,8 +42,7 @@ impl ArmSim {
             for i in 0..n {
                 dq[i] += weight / 6.0 * v[i];
                 dv[i] += weight / 6.0 * a[i];
-                let rate = v[i];
-                q[i] = q0[i] + ahead * dt * rate;
+                q[i] = q0[i] + ahead * dt * v[i];
                 v[i] = v0[i] + ahead * dt * a[i];
             }
         }
@@ -85,18 +75,18 @@ impl ArmSim {
         driven
     }
 
-    /// Pose `X_WT` and velocity of the tool.
-    pub fn tool(&mut self, model: &RobotModel) -> (DPose3, DVec3) {
-        let n = model.dof();
-        model.forward_kinematics(&self.q[..n], &mut self.ws);
-        model.forward_motion(&self.qd[..n], &[0.0; MAX_JOINTS][..n], &mut self.ws);
-        (model.frame_pose(model.tool(), &self.ws), model.frame_velocity(model.tool(), &self.ws).0)
+    /// The workspace with the joint frames at the current positions.
+    pub(crate) fn placed(&mut self, model: &RobotModel) -> &mut Workspace {
+        model.forward_kinematics(&self.q, &mut self.ws);
+        &mut self.ws
     }
 
-    /// Kinetic and potential energy, J.
-    pub fn energy(&mut self, model: &RobotModel) -> f64 {
-        let n = model.dof();
-        model.forward_kinematics(&self.q[..n], &mut self.ws);
-        model.kinetic_energy(&self.qd[..n], &mut self.ws) + model.potential_energy(&self.ws)
+    /// Pose `X_WT`, velocity of the origin (m/s) and angular velocity (rad/s) of the tool.
+    pub fn tool(&mut self, model: &RobotModel) -> (DPose3, DVec3, DVec3) {
+        let qd = self.qd;
+        let ws = self.placed(model);
+        model.forward_motion(&qd, &[0.0; MAX_JOINTS], ws);
+        let (v_w, w_w) = model.frame_velocity(model.tool(), ws);
+        (model.frame_pose(model.tool(), ws), v_w, w_w)
     }
 }

@@ -1,10 +1,19 @@
 //! Buffers for intermediate results, so that control steps do not allocate.
 
-use crate::arm::dynamics::linalg::MAX_JOINTS;
 use glamx::{DMat3, DVec3};
+
+/// Largest number of moving joints.
+pub const MAX_JOINTS: usize = 16;
 
 /// One value for each joint, the first `dof` of them in use.
 pub type JointVector = [f64; MAX_JOINTS];
+
+/// The values of the first joints; the others are zero.
+pub(crate) fn joint_vector(values: &[f64]) -> JointVector {
+    let mut all = [0.0; MAX_JOINTS];
+    all[..values.len()].copy_from_slice(values);
+    all
+}
 
 /// The mass matrix of joint space, kg·m²; the leading `dof` × `dof` block is in use.
 pub(crate) type MassMatrix = [[f64; MAX_JOINTS]; MAX_JOINTS];

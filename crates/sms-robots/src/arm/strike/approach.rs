@@ -1,16 +1,16 @@
 //! The whole strike: approach, descent, sweep and lift.
 
-use crate::arm::control::osc::TaskLaw;
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::{JointVector, Workspace};
-use crate::arm::model::RobotModel;
-use crate::arm::shape::{Clearance, Obstacle};
+use crate::arm::osc::TaskLaw;
+use crate::arm::shape::Clearance;
 use crate::arm::strike::motion::{
-    JointMotion, JointMove, JointSample, LimitKind, Meter, SETTLE_S, StepwiseRollout, motor_torques,
-    roll_out, within_limits,
+    JointMove, JointSample, Meter, SETTLE_S, StepwiseRollout, motor_torques, roll_out, within_limits,
 };
-use crate::arm::strike::sweep::{LinePath, Sweep};
-use crate::arm::strike::sweep_plan::{ReachProblem, StrikeConfig, StrikeError, SweepPlan, plan_sweep_where};
+use crate::arm::strike::sweep::LinePath;
+use crate::arm::strike::sweep_plan::{ReachProblem, plan_sweep_where};
+use crate::{
+    JointMotion, JointVector, LimitKind, MAX_JOINTS, Obstacle, RobotModel, StrikeConfig, StrikeError, Sweep,
+    SweepPlan, Workspace,
+};
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 

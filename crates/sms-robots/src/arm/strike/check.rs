@@ -1,12 +1,12 @@
 //! Checks of a planned strike before it is executed.
 
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::RobotModel;
-use crate::arm::shape::{Clearance, Obstacle};
-use crate::arm::strike::approach::{Phase, StrikePlan};
-use crate::arm::strike::motion::{LimitKind, Use};
-use crate::arm::strike::sweep_plan::StrikeConfig;
-use crate::arm::strike::tracking::{Tracking, simulate_sweep};
+use crate::arm::shape::Clearance;
+use crate::arm::strike::motion::unit;
+use crate::arm::strike::tracking::ContactTracking;
+use crate::{
+    LimitKind, Obstacle, Phase, RobotModel, StrikeConfig, StrikePlan, Tracking, Use, Workspace,
+    simulate_sweep,
+};
 use serde::{Deserialize, Serialize};
 
 /// Tolerance of the speed error at the contact (a share).
@@ -104,27 +104,24 @@ pub fn check_strike(
     items.extend(distances(model, plan, obstacles, config.clearance_m, ws));
     let tracking = simulate_sweep(model, &plan.sweep, &config.osc, model, 1.0, 0.5 * config.osc.period_s);
     let asked = plan.sweep.sweep.speed;
-    let never = || "the tool does not reach the contact under control in free space".to_owned();
-    let left = tracking.contact.map(|c| {
-        (SPEED_TOLERANCE - (c.speed / asked - 1.0).abs(), DIRECTION_TOLERANCE_RAD - c.direction_error_rad)
-    });
-    items.push(CheckItem {
-        kind: CheckKind::ContactSpeed,
-        passed: left.is_some_and(|l| l.0 >= 0.0),
-        margin: left.map(|l| l.0),
-        detail: tracking.contact.map_or_else(never, |c| {
-            format!("{:.4} m/s at the contact under control in free space, {asked:.4} requested", c.speed)
-        }),
-    });
-    items.push(CheckItem {
-        kind: CheckKind::ContactDirection,
-        passed: left.is_some_and(|l| l.1 >= 0.0),
-        margin: left.map(|l| l.1),
-        detail: tracking.contact.map_or_else(never, |c| {
-            let off = c.direction_error_rad.to_degrees();
-            format!("{off:.3}° off the requested direction, {:.2} mm off the line", 1e3 * c.offset_m)
-        }),
-    });
+    let mut push = |kind: CheckKind, measured: Option<(f64, String)>| {
+        let never = || "the tool does not reach the contact under control in free space".to_owned();
+        let margin = measured.as_ref().map(|m| m.0);
+        let passed = margin.is_some_and(|m| m >= 0.0);
+        items.push(CheckItem { kind, passed, margin, detail: measured.map_or_else(never, |m| m.1) });
+    };
+    let speed = |c: ContactTracking| {
+        let detail =
+            format!("{:.4} m/s at the contact under control in free space, {asked:.4} requested", c.speed);
+        (SPEED_TOLERANCE - (c.speed / asked - 1.0).abs(), detail)
+    };
+    push(CheckKind::ContactSpeed, tracking.contact.map(speed));
+    let direction = |c: ContactTracking| {
+        let (off, offset_mm) = (c.direction_error_rad.to_degrees(), 1e3 * c.offset_m);
+        let detail = format!("{off:.3}° off the requested direction, {offset_mm:.2} mm off the line");
+        (DIRECTION_TOLERANCE_RAD - c.direction_error_rad, detail)
+    };
+    push(CheckKind::ContactDirection, tracking.contact.map(direction));
     StrikeCheck { items, tracking }
 }
 
@@ -144,13 +141,13 @@ fn limits(model: &RobotModel, plan: &StrikePlan, config: &StrikeConfig) -> Vec<C
         .flatten()
         .map(|(kind, u, phase, at_s)| {
             let joint = &model.joints()[u.joint];
-            let (check, unit, angular) = match kind {
-                LimitKind::Position => (CheckKind::JointPositions, "m", "rad"),
-                LimitKind::Velocity => (CheckKind::JointSpeeds, "m/s", "rad/s"),
-                LimitKind::Torque => (CheckKind::JointTorques, "N", "N·m"),
-                LimitKind::TorqueRate => (CheckKind::TorqueRates, "N/s", "N·m/s"),
+            let check = match kind {
+                LimitKind::Position => CheckKind::JointPositions,
+                LimitKind::Velocity => CheckKind::JointSpeeds,
+                LimitKind::Torque => CheckKind::JointTorques,
+                LimitKind::TorqueRate => CheckKind::TorqueRates,
             };
-            let unit = if joint.kind.turns() { angular } else { unit };
+            let unit = unit(kind, joint.kind.turns());
             let margin = match kind {
                 LimitKind::Position => (u.value - joint.limits.lower).min(joint.limits.upper - u.value),
                 _ => u.bound - u.value.abs(),
@@ -191,14 +188,11 @@ fn distances(
             model.shape_poses(ws, &mut poses);
             let at_s = k as f64 * motion.period_s;
             let with_struck = matches!(phase, Phase::Approach | Phase::Descent);
-            let found =
-                std::iter::once(model.self_clearance(&poses, enough)).chain(obstacles.iter().map(|o| {
-                    if o.is_struck && !with_struck {
-                        None
-                    } else {
-                        model.obstacle_clearance(&poses, o, enough)
-                    }
-                }));
+            let to_obstacle = |o: &Obstacle| {
+                if o.is_struck && !with_struck { None } else { model.obstacle_clearance(&poses, o, enough) }
+            };
+            let itself = std::iter::once(model.self_clearance(&poses, enough));
+            let found = itself.chain(obstacles.iter().map(to_obstacle));
             for (slot, c) in nearest.iter_mut().zip(found) {
                 let Some(c) = c else { continue };
                 if slot.as_ref().is_none_or(|n| c.distance_m < n.0.distance_m) {

@@ -1,12 +1,7 @@
 //! The arm executing a sweep, with external impulses.
 
-use crate::arm::control::osc::{Osc, OscConfig};
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::simulation::ArmSim;
-use crate::arm::dynamics::workspace::{JointVector, Workspace};
-use crate::arm::model::RobotModel;
-use crate::arm::strike::sweep::{Sweep, SweepPath, ToolPath};
-use crate::arm::strike::sweep_plan::SweepPlan;
+use crate::arm::strike::sweep::SweepPath;
+use crate::{ArmSim, JointVector, Osc, OscConfig, RobotModel, Sweep, SweepPlan, ToolPath, Workspace};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use std::sync::Arc;
 
@@ -70,19 +65,14 @@ pub struct SweepDrive {
     /// Number of control steps so far.
     ticks: usize,
     saturated: usize,
-    ws: Workspace,
 }
 
 impl SweepDrive {
     /// The arm at the start of the sweep, at rest.
     pub fn new(strike: ArmStrike) -> Self {
-        let mut ws = Workspace::default();
-        let n = strike.model.dof();
-        let mut hold = [0.0; MAX_JOINTS];
-        strike.model.gravity_torques(&strike.q_start, &mut ws, &mut hold);
-        let osc = Osc::new(strike.osc, &strike.q_start, &hold[..n]);
-        let arm = ArmSim::new(&strike.q_start);
-        Self { strike, arm, osc, tau: hold, time_s: 0.0, ticks: 0, saturated: 0, ws }
+        let osc = Osc::holding(&strike.model, strike.osc, &strike.q_start, &mut Workspace::default());
+        let (arm, tau) = (ArmSim::new(&strike.q_start), osc.last_tau);
+        Self { strike, arm, osc, tau, time_s: 0.0, ticks: 0, saturated: 0 }
     }
 
     /// The strike.
@@ -140,20 +130,16 @@ impl SweepDrive {
 
     /// Pose `X_WT`, velocity of the origin (m/s) and angular velocity (rad/s) of the tool.
     pub fn tool(&mut self) -> (DPose3, DVec3, DVec3) {
-        let (model, n) = (&self.strike.model, self.strike.model.dof());
-        model.forward_kinematics(&self.arm.q[..n], &mut self.ws);
-        model.forward_motion(&self.arm.qd[..n], &[0.0; MAX_JOINTS][..n], &mut self.ws);
-        let (v_w, w_w) = model.frame_velocity(model.tool(), &self.ws);
-        (model.frame_pose(model.tool(), &self.ws), v_w, w_w)
+        self.arm.tool(&self.strike.model)
     }
 
     /// Acceleration of the tool's origin under the current torques, m/s².
     pub fn tool_acceleration(&mut self) -> DVec3 {
-        let (model, n) = (&self.strike.model, self.strike.model.dof());
-        let qdd = self.arm.acceleration(model, &self.arm.q.clone(), &self.arm.qd.clone(), &self.tau[..n]);
-        model.forward_kinematics(&self.arm.q[..n], &mut self.ws);
-        model.forward_motion(&self.arm.qd[..n], &qdd[..n], &mut self.ws);
-        model.frame_acceleration(model.tool(), &self.ws).0
+        let (model, q, qd) = (&self.strike.model, self.arm.q, self.arm.qd);
+        let qdd = self.arm.acceleration(model, &q, &qd, &self.tau);
+        let ws = self.arm.placed(model);
+        model.forward_motion(&qd, &qdd, ws);
+        model.frame_acceleration(model.tool(), ws).0
     }
 
     /// Effective mass of the tool at a point along a direction, kg: 1/(nᵀ J M⁻¹ Jᵀ n).
@@ -173,27 +159,25 @@ impl SweepDrive {
 
     /// [`RobotModel::point_mobility`] of a point of the tool.
     pub fn mobility(&mut self, point_w: DVec3) -> DMat3 {
-        let (model, n) = (&self.strike.model, self.strike.model.dof());
-        model.forward_kinematics(&self.arm.q[..n], &mut self.ws);
-        model.point_mobility(model.tool(), point_w, &mut self.ws)
+        let model = &self.strike.model;
+        model.point_mobility(model.tool(), point_w, self.arm.placed(model))
     }
 
     /// Applies an impulse (N·s) at a point of the tool as if it had acted `since_s` seconds ago. This suits engines
     /// that integrate with the velocity at the end of a step: they have already moved the tool by this impulse.
     pub fn push(&mut self, point_w: DVec3, impulse_w: DVec3, since_s: f64) {
-        let (model, n) = (&self.strike.model, self.strike.model.dof());
-        let before = self.arm.qd;
-        model.forward_kinematics(&self.arm.q[..n], &mut self.ws);
-        model.apply_impulse(model.tool(), point_w, impulse_w, &mut self.ws, &mut self.arm.qd[..n]);
-        for i in 0..n {
-            self.arm.q[i] += since_s * (self.arm.qd[i] - before[i]);
+        let model = &self.strike.model;
+        let (before, mut after) = (self.arm.qd, self.arm.qd);
+        model.apply_impulse(model.tool(), point_w, impulse_w, self.arm.placed(model), &mut after);
+        self.arm.qd = after;
+        for i in 0..model.dof() {
+            self.arm.q[i] += since_s * (after[i] - before[i]);
         }
     }
 
     /// Kinetic energy of the arm, J.
     pub fn kinetic_energy(&mut self) -> f64 {
-        let (model, n) = (&self.strike.model, self.strike.model.dof());
-        model.forward_kinematics(&self.arm.q[..n], &mut self.ws);
-        model.kinetic_energy(&self.arm.qd[..n], &mut self.ws)
+        let qd = self.arm.qd;
+        self.strike.model.kinetic_energy(&qd, self.arm.placed(&self.strike.model))
     }
 }

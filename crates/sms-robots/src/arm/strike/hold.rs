@@ -1,9 +1,8 @@
 //! Holds of the tool in a sweep: rotated about the sweep's direction or about the tool's own axis, so that the hand
 //! clears obstacles beside the ball.
 
-use crate::arm::model::RobotModel;
-use crate::arm::shape::{Clearance, LinkShape, Obstacle, obstacle_distance};
-use crate::arm::strike::sweep::{Sweep, ToolPath};
+use crate::arm::shape::{Clearance, obstacle_distance};
+use crate::{LinkShape, Obstacle, RobotModel, Sweep, ToolPath};
 use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;

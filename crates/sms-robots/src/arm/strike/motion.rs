@@ -1,14 +1,13 @@
 //! Joint motions: rollouts of tool motions, and point-to-point motions.
 
-use crate::arm::control::osc::{OscConfig, TaskGoal, TaskLaw, joint_friction};
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::{JointVector, Workspace};
-use crate::arm::model::RobotModel;
-use crate::arm::strike::sweep::{ToolPath, minimum_jerk};
+use crate::arm::dynamics::workspace::joint_vector;
+use crate::arm::osc::{TaskGoal, TaskLaw};
+use crate::arm::strike::sweep::minimum_jerk;
+use crate::{Joint, JointVector, MAX_JOINTS, OscConfig, RobotModel, ToolPath, Workspace, joint_friction};
 use serde::{Deserialize, Serialize};
 
 /// State of the joints at one time.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct JointSample {
     /// Positions, rad (m).
     pub q: JointVector,
@@ -43,6 +42,22 @@ impl JointMotion {
             s.tau = motor_torques(model, &s.q, &s.qd, &s.qdd, ws);
         }
         Self { period_s: self.period_s, samples }
+    }
+
+    /// Computes the uses of all limits; `torque_rate` is the largest change of torque per second. Steps of Coulomb
+    /// friction at a reversal do not count: the joint controllers compensate them.
+    pub fn uses(&self, model: &RobotModel, torque_rate: f64) -> Uses {
+        let mut meter = Meter::new(model, torque_rate, self.period_s);
+        self.samples.iter().for_each(|s| meter.note(s));
+        meter.uses
+    }
+
+    /// Checks all limits.
+    ///
+    /// # Errors
+    /// [`Infeasible`] for the limit that is exceeded by the largest share.
+    pub fn check(&self, model: &RobotModel, torque_rate: f64) -> Result<Uses, Infeasible> {
+        within_limits(model, self.uses(model, torque_rate))
     }
 }
 
@@ -96,7 +111,7 @@ impl Infeasible {
     }
 }
 
-fn unit(limit: LimitKind, turns: bool) -> &'static str {
+pub(super) fn unit(limit: LimitKind, turns: bool) -> &'static str {
     match (limit, turns) {
         (LimitKind::Position, true) => "rad",
         (LimitKind::Position, false) => "m",
@@ -127,45 +142,17 @@ pub struct Use {
 /// The largest uses of position, speed, torque and torque-rate limits, in this order.
 pub type Uses = [(LimitKind, Use); 4];
 
-impl JointMotion {
-    /// Computes the uses of all limits; `torque_rate` is the largest change of torque per second. Steps of Coulomb
-    /// friction at a reversal do not count: the joint controllers compensate them.
-    pub fn uses(&self, model: &RobotModel, torque_rate: f64) -> Uses {
-        let mut meter = Meter::new(model, torque_rate, self.period_s);
-        self.samples.iter().for_each(|s| meter.note(s));
-        meter.uses
-    }
-
-    /// Checks all limits.
-    ///
-    /// # Errors
-    /// [`Infeasible`] for the limit that is exceeded by the largest share.
-    pub fn check(&self, model: &RobotModel, torque_rate: f64) -> Result<Uses, Infeasible> {
-        within_limits(model, self.uses(model, torque_rate))
-    }
-}
-
 /// Returns the uses if all are within the limits.
 ///
 /// # Errors
 /// [`Infeasible`] for the limit that is exceeded by the largest share.
 pub(crate) fn within_limits(model: &RobotModel, uses: Uses) -> Result<Uses, Infeasible> {
     let worst = uses.iter().max_by(|a, b| a.1.share.total_cmp(&b.1.share));
-    match worst {
-        // NaN exceeds the limit.
-        Some((limit, u)) if u.share.is_nan() || u.share > 1.0 => {
-            let joint = &model.joints()[u.joint];
-            Err(Infeasible {
-                joint: joint.name.clone(),
-                limit: *limit,
-                value: u.value,
-                bound: u.bound,
-                at_s: u.at_s,
-                turns: joint.kind.turns(),
-            })
-        }
-        _ => Ok(uses),
-    }
+    // NaN exceeds the limit.
+    let Some(&(limit, u)) = worst.filter(|(_, u)| u.share.is_nan() || u.share > 1.0) else { return Ok(uses) };
+    let Use { value, bound, at_s, .. } = u;
+    let Joint { name, kind, .. } = &model.joints()[u.joint];
+    Err(Infeasible { joint: name.clone(), limit, value, bound, at_s, turns: kind.turns() })
 }
 
 /// Accumulates the uses of a motion sample by sample.
@@ -284,22 +271,19 @@ impl<'a, P: ToolPath + ?Sized> StepwiseRollout<'a, P> {
         period_s: f64,
         settle_s: f64,
     ) -> Self {
-        let n = model.dof();
         let duration = path.duration_s();
         let steps = (duration / period_s).ceil().max(1.0);
         let h = duration / steps;
-        let zero = [0.0; MAX_JOINTS];
-        let mut first = zero;
-        first[..n].copy_from_slice(q);
+        let q = joint_vector(q);
         Self {
             model,
             path,
-            posture: first,
+            posture: q,
             gains: OscConfig { friction_compensation: true, ..*gains },
             period_s: h,
             steps: steps as usize,
             longest: steps as usize + (settle_s / h) as usize,
-            next: JointSample { q: first, qd: zero, qdd: zero, tau: zero },
+            next: JointSample { q, ..JointSample::default() },
             samples: Vec::with_capacity(steps as usize + 1),
             ended: false,
         }
@@ -416,8 +400,7 @@ impl JointMove<'_> {
         let mut samples = Vec::with_capacity(steps as usize + 1);
         for k in 0..=steps as usize {
             let [p, v, a] = minimum_jerk(k as f64 * h, duration);
-            let zero = [0.0; MAX_JOINTS];
-            let mut s = JointSample { q: zero, qd: zero, qdd: zero, tau: zero };
+            let mut s = JointSample::default();
             for i in 0..model.dof() {
                 let by = self.to[i] - self.from[i];
                 s.q[i] = self.from[i] + p * by;

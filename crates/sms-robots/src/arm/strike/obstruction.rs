@@ -1,9 +1,7 @@
 //! Clearance along a motion.
 
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::RobotModel;
-use crate::arm::shape::{Clearance, Obstacle};
-use crate::arm::strike::motion::JointMotion;
+use crate::arm::shape::Clearance;
+use crate::{JointMotion, Obstacle, RobotModel, Workspace};
 
 /// Required clearance of a motion from obstacles and between links.
 #[derive(Clone, Copy)]

@@ -1,11 +1,7 @@
 //! Postures at the contact of a strike, and the share of the arm's limits that each uses.
 
-use crate::arm::dynamics::ik::{IkConfig, IkTarget, Unreachable};
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::{Jacobian, JointVector, Workspace};
-use crate::arm::model::RobotModel;
-use crate::arm::strike::sweep::Sweep;
-use glamx::DVec3;
+use crate::{IkConfig, Jacobian, JointVector, MAX_JOINTS, RobotModel, Sweep, Unreachable, Workspace};
+use glamx::{DPose3, DVec3};
 use sms_core::Cholesky;
 
 /// Continuation along a family of postures: the largest joint change per step, radians or metres, and the largest
@@ -16,20 +12,20 @@ const MOST_STEPS: usize = 48;
 /// Distance below which two postures belong to one family, radians or metres.
 const SAME: f64 = 0.2;
 
-/// Postures that put the tool at `target`: the solutions of inverse kinematics, and their families under self-motion (a
+/// Postures that put the tool at the pose `target`: the solutions of inverse kinematics, and their families under self-motion (a
 /// redundant arm's elbow), followed in both directions up to the limits.
 ///
 /// # Errors
 /// [`Unreachable`] when there is none.
 pub(crate) fn postures(
     model: &RobotModel,
-    target: &IkTarget,
+    target: &DPose3,
     config: &IkConfig,
     ws: &mut Workspace,
 ) -> Result<Vec<Vec<f64>>, Unreachable> {
     let n = model.dof();
     let mut all: Vec<Vec<f64>> = Vec::new();
-    for solution in model.inverse_kinematics(target, None, config, ws)? {
+    for solution in model.inverse_kinematics(target, config, ws)? {
         let known = |q: &Vec<f64>| q.iter().zip(&solution.q).all(|(a, b)| (a - b).abs() < SAME);
         if all.iter().any(known) {
             continue;

@@ -1,15 +1,10 @@
 //! A strike as a joint trajectory for a robot's own program, in JSON and Parquet.
 
-use crate::arm::control::osc::joint_friction;
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::RobotModel;
-use crate::arm::strike::approach::{Phase, StrikePlan};
-use crate::arm::strike::check::StrikeCheck;
 use crate::arm::strike::motion::{JointSample, motor_torques};
-use glamx::{DPose3, DQuat};
+use crate::{Phase, RobotModel, StrikeCheck, StrikePlan, Workspace, joint_friction};
 use serde::{Deserialize, Serialize};
 use sms_core::table::{Column, write_table};
-use sms_core::{CoreError, InputError, atomic};
+use sms_core::{CoreError, atomic};
 use std::path::Path;
 
 /// The failed check of an unchecked program.
@@ -77,18 +72,18 @@ impl JointProgram {
     /// Samples a strike every `period_s` seconds. The program is not executable until [`Self::checked`].
     pub fn of_strike(model: &RobotModel, plan: &StrikePlan, period_s: f64, ws: &mut Workspace) -> Self {
         let n = model.dof();
-        let total: f64 = plan.phases.iter().map(|(_, m)| m.duration_s()).sum();
-        let count = (total / period_s).ceil() as usize;
+        let count = (plan.duration_s() / period_s).ceil() as usize;
         let points = (0..=count)
             .map(|k| {
                 let time_s = k as f64 * period_s;
                 let (phase, s) = plan.at(model, time_s, ws);
-                let friction = |i: usize| {
-                    let joint = &model.joints()[i];
-                    joint_friction(joint.damping, joint.friction, s.qd[i])
-                };
                 let mut gravity = [0.0; crate::MAX_JOINTS];
                 model.gravity_torques(&s.q, ws, &mut gravity);
+                let command = |i: usize| {
+                    let joint = &model.joints()[i];
+                    let friction = joint_friction(joint.damping, joint.friction, s.qd[i]);
+                    s.tau[i] - gravity[i] - friction - joint.armature * s.qdd[i]
+                };
                 // `gravity_torques` has computed the forward kinematics.
                 let x_wt = model.frame_pose(model.tool(), ws);
                 ProgramPoint {
@@ -97,9 +92,7 @@ impl JointProgram {
                     q: s.q[..n].to_vec(),
                     qd: s.qd[..n].to_vec(),
                     tau: s.tau[..n].to_vec(),
-                    tau_command: (0..n)
-                        .map(|i| s.tau[i] - gravity[i] - friction(i) - model.joints()[i].armature * s.qdd[i])
-                        .collect(),
+                    tau_command: (0..n).map(command).collect(),
                     tool_position_w: x_wt.translation.to_array(),
                     tool_quaternion_w: x_wt.rotation.to_array(),
                 }
@@ -127,32 +120,12 @@ impl JointProgram {
         Self { executable: check.executable(), failed_checks, ..self }
     }
 
-    /// Pose of the base, `X_WR`.
-    pub fn x_wr(&self) -> DPose3 {
-        DPose3::from_parts(self.base_position_w.into(), DQuat::from_array(self.base_quaternion_w))
-    }
-
     /// Writes JSON.
     ///
     /// # Errors
     /// [`CoreError::Write`].
     pub fn write_json(&self, path: &Path) -> Result<(), CoreError> {
         atomic::write_json(path, self)
-    }
-
-    /// Reads a file of [`Self::write_json`].
-    ///
-    /// # Errors
-    /// [`CoreError`] when the file is missing, is not a program, or has vectors of the wrong length.
-    pub fn read_json(path: &Path) -> Result<Self, CoreError> {
-        let program: Self = atomic::read_json(path)?;
-        let n = program.joints.len();
-        let whole = |p: &ProgramPoint| [&p.q, &p.qd, &p.tau, &p.tau_command].iter().all(|v| v.len() == n);
-        if program.version != PROGRAM_VERSION || !program.points.iter().all(whole) {
-            let what = "this is no joint program of this version, or a vector in it has the wrong length";
-            return Err(InputError::new(what, path, "plan again").into());
-        }
-        Ok(program)
     }
 
     /// Writes one row per point to a Parquet file: `time_s`, `phase`, `executable` (1, or 0 in every row), for each
@@ -208,35 +181,29 @@ impl StrikePlan {
     /// Returns the phase and the joint state at `time_s` seconds from the start of the approach. Between samples,
     /// positions are cubic Hermite interpolants, and torques are those of the interpolated motion.
     pub fn at(&self, model: &RobotModel, time_s: f64, ws: &mut Workspace) -> (Phase, JointSample) {
-        let mut rest = time_s.max(0.0);
-        let last = self.phases.len() - 1;
-        for (k, (phase, motion)) in self.phases.iter().enumerate() {
-            if rest > motion.duration_s() && k < last {
-                rest -= motion.duration_s();
-                continue;
-            }
-            let h = motion.period_s;
-            let steps = motion.samples.len() - 1;
-            let index = ((rest / h).floor() as usize).min(steps);
-            let before = &motion.samples[index];
-            let share = rest / h - index as f64;
-            let mut s = *before;
-            if share > 1e-9 && index < steps {
-                let after = &motion.samples[index + 1];
-                for i in 0..model.dof() {
-                    let u = share;
-                    // Cubic Hermite.
-                    let by = after.q[i] - before.q[i];
-                    let (a, b) = (h * before.qd[i] - by, by - h * after.qd[i]);
-                    s.q[i] = before.q[i] + u * by + u * (1.0 - u) * ((1.0 - u) * a + u * b);
-                    s.qd[i] = before.qd[i] + u * (after.qd[i] - before.qd[i]);
-                    s.qdd[i] = before.qdd[i] + u * (after.qdd[i] - before.qdd[i]);
-                }
-                s.tau = motor_torques(model, &s.q, &s.qd, &s.qdd, ws);
-            }
-            return (*phase, s);
+        let (mut rest, mut k) = (time_s.max(0.0), 0);
+        while k + 1 < self.phases.len() && rest > self.phases[k].1.duration_s() {
+            rest -= self.phases[k].1.duration_s();
+            k += 1;
         }
-        // Unreachable: the last phase always returns.
-        (Phase::Lift, self.phases[last].1.samples[0])
+        let (phase, motion) = &self.phases[k];
+        let h = motion.period_s;
+        let steps = motion.samples.len() - 1;
+        let index = ((rest / h).floor() as usize).min(steps);
+        let before = &motion.samples[index];
+        let u = rest / h - index as f64;
+        let mut s = *before;
+        if u > 1e-9 && index < steps {
+            let after = &motion.samples[index + 1];
+            for i in 0..model.dof() {
+                let by = after.q[i] - before.q[i];
+                let (a, b) = (h * before.qd[i] - by, by - h * after.qd[i]);
+                s.q[i] = before.q[i] + u * by + u * (1.0 - u) * ((1.0 - u) * a + u * b);
+                s.qd[i] = before.qd[i] + u * (after.qd[i] - before.qd[i]);
+                s.qdd[i] = before.qdd[i] + u * (after.qdd[i] - before.qdd[i]);
+            }
+            s.tau = motor_torques(model, &s.q, &s.qd, &s.qdd, ws);
+        }
+        (*phase, s)
     }
 }

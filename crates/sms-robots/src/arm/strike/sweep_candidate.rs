@@ -1,12 +1,10 @@
 //! Sweeps from several postures, advanced side by side, each only as far as needed to find the best.
 
-use crate::arm::control::osc::TaskLaw;
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::RobotModel;
+use crate::arm::osc::TaskLaw;
 use crate::arm::strike::motion::{Meter, StepwiseRollout, within_limits};
 use crate::arm::strike::obstruction::ClearanceCheck;
-use crate::arm::strike::sweep::{SweepPath, ToolPath};
-use crate::arm::strike::sweep_plan::{StrikeConfig, StrikeError, SweepPlan};
+use crate::arm::strike::sweep::SweepPath;
+use crate::{RobotModel, StrikeConfig, StrikeError, SweepPlan, ToolPath, Workspace};
 
 /// Samples between comparisons.
 const STRIDE: usize = 4;
@@ -78,12 +76,10 @@ impl<'a> SweepCandidate<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::FIST_HALF;
-    use crate::arm::dynamics::ik::IkTarget;
     use crate::arm::strike::motion::roll_out;
     use crate::arm::strike::posture::postures;
-    use crate::arm::strike::sweep::Sweep;
     use crate::arm::strike::sweep_plan::COARSE_ENOUGH;
+    use crate::{FIST_HALF, Sweep};
     use glamx::{DPose3, DVec3};
 
     /// Sweeps over the workspace, each with the postures at its start.
@@ -95,9 +91,9 @@ mod tests {
                 let ball = DVec3::new(x, y, 0.03);
                 let sweep = Sweep::of_ball(ball, 0.03, 0.9 * k as f64 - 1.8 + y, speed, FIST_HALF.x);
                 let path = sweep.path(sweep.rotation_w());
-                let target = IkTarget::Pose(DPose3::from_parts(sweep.contact_w, path.rotation_w));
+                let target = DPose3::from_parts(sweep.contact_w, path.rotation_w);
                 let at_contact = postures(model, &target, &config.ik, ws).unwrap_or_default();
-                let start = IkTarget::Pose(path.at(0.0).x_wt);
+                let start = path.at(0.0).x_wt;
                 let starts =
                     at_contact.iter().filter_map(|q| model.refine(&start, q, &config.ik, ws).ok()).take(8);
                 all.push((path, starts.collect()));

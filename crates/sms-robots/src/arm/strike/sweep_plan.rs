@@ -1,18 +1,18 @@
 //! Planning of a sweep within the arm's limits.
 
-use crate::arm::control::osc::{Osc, OscConfig, TaskLaw};
-use crate::arm::dynamics::ik::{IkConfig, IkTarget, LENGTH_M, Unreachable};
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::RobotModel;
-use crate::arm::shape::{Clearance, Obstacle};
-use crate::arm::strike::approach::Phase;
+use crate::arm::dynamics::ik::LENGTH_M;
+use crate::arm::osc::TaskLaw;
+use crate::arm::shape::Clearance;
 use crate::arm::strike::hold::{Hold, groups, tool_blocked};
-use crate::arm::strike::motion::{Infeasible, JointMotion, LimitKind, Uses, roll_out};
+use crate::arm::strike::motion::roll_out;
 use crate::arm::strike::obstruction::ClearanceCheck;
 use crate::arm::strike::posture::{postures, strain};
-use crate::arm::strike::sweep::{Sweep, SweepPath, ToolPath};
+use crate::arm::strike::sweep::SweepPath;
 use crate::arm::strike::sweep_candidate::SweepCandidate;
+use crate::{
+    IkConfig, Infeasible, JointMotion, LimitKind, Obstacle, Osc, OscConfig, Phase, RobotModel, Sweep,
+    ToolPath, Unreachable, Uses, Workspace,
+};
 use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -192,9 +192,7 @@ impl SweepPlan {
 
     /// Returns the controller of the sweep for a robot at rest at its start.
     pub fn controller(&self, model: &RobotModel, config: &OscConfig, ws: &mut Workspace) -> Osc {
-        let mut hold = [0.0; MAX_JOINTS];
-        model.gravity_torques(&self.q_start, ws, &mut hold);
-        Osc::new(*config, &self.q_start, &hold[..model.dof()])
+        Osc::holding(model, *config, &self.q_start, ws)
     }
 }
 
@@ -294,7 +292,7 @@ fn plan_held(
             blocked_tool = true;
             continue;
         }
-        let at_contact = IkTarget::Pose(DPose3::from_parts(sweep.contact_w, path.rotation_w));
+        let at_contact = DPose3::from_parts(sweep.contact_w, path.rotation_w);
         match postures(model, &at_contact, &ik, ws) {
             Ok(found) => all.extend(found.into_iter().map(|q| (strain(model, &sweep, &q, ws), path, q))),
             Err(e) => keep_nearest(&mut unreachable, e),
@@ -319,8 +317,7 @@ fn plan_held(
                 refusals.push(Some((strain, StrikeError::Blocked { clearance, at_s })));
                 continue;
             }
-            let start = IkTarget::Pose(path.at(0.0).x_wt);
-            match model.refine(&start, &q_contact, &config.ik, ws) {
+            match model.refine(&path.at(0.0).x_wt, &q_contact, &config.ik, ws) {
                 Ok(q_start) => {
                     running.push((refusals.len(), path, q_start));
                     refusals.push(None);

@@ -1,11 +1,6 @@
 //! A sweep under torque control in free space.
 
-use crate::arm::control::osc::OscConfig;
-use crate::arm::dynamics::simulation::ArmSim;
-use crate::arm::dynamics::workspace::Workspace;
-use crate::arm::model::RobotModel;
-use crate::arm::strike::sweep::{SEGMENT_M, ToolPath};
-use crate::arm::strike::sweep_plan::SweepPlan;
+use crate::{ArmSim, OscConfig, RobotModel, SEGMENT_M, SweepPlan, ToolPath, Workspace};
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -23,7 +18,7 @@ pub struct ContactTracking {
 }
 
 /// Tracking of a sweep under control in free space.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Tracking {
     /// The tool at the contact; `None` if it was not reached.
     pub contact: Option<ContactTracking>,
@@ -55,13 +50,7 @@ pub fn simulate_sweep(
     let path = plan.path();
     let d = plan.sweep.direction_w.normalize();
     let start_w = plan.sweep.contact_w - SEGMENT_M * d;
-    let mut tracking = Tracking {
-        contact: None,
-        largest_error_m: 0.0,
-        saturated_periods: 0,
-        rate_limited_periods: 0,
-        over_speed_periods: 0,
-    };
+    let mut tracking = Tracking::default();
     let sub_steps = (config.period_s / dt).round().max(1.0) as usize;
     let h = config.period_s / sub_steps as f64;
     let periods = (path.duration_s() / config.period_s).ceil() as usize + 40;
@@ -77,7 +66,7 @@ pub fn simulate_sweep(
         tracking.over_speed_periods += usize::from(out.over_speed.is_some());
         for s in 0..sub_steps {
             sim.step(real, &out.tau[..n], h);
-            let (x, v) = sim.tool(real);
+            let (x, v, _) = sim.tool(real);
             let p = x.translation;
             let (was, is) = ((before_p - start_w).dot(d), (p - start_w).dot(d));
             if tracking.contact.is_none() && is >= SEGMENT_M {

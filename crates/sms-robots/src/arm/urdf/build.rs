@@ -3,11 +3,8 @@
 use super::collision::shapes;
 use super::xml::{Inertial, UrdfSource, place};
 use super::{OffChain, UrdfOptions};
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::model::{
-    FrameId, GRAVITY_W, Joint, JointKind, JointLimits, LinkCollision, LinkFrame, RobotModel, fits, merged,
-    transformed,
-};
+use crate::arm::model::{GRAVITY_W, JointLimits, LinkCollision, merged, transformed};
+use crate::{FrameId, Joint, JointKind, LinkFrame, MAX_JOINTS, RobotModel};
 use glamx::{DPose3, DQuat, DVec3};
 use roxmltree::Node;
 use sms_core::{InputError, MassProperties};
@@ -51,7 +48,7 @@ pub(super) fn build(
     };
     builder.add_link(base, None, DPose3::IDENTITY)?;
     let mut model = builder.model;
-    if !fits(model.dof()) {
+    if model.dof() > MAX_JOINTS {
         return Err(source.error(
             format!("{} joints move; at most {MAX_JOINTS} may", model.dof()),
             "name a tool, so that joints off its chain are held, or hold some in `held`",
@@ -432,7 +429,8 @@ impl TreeBuilder<'_, '_, '_> {
 /// Checks that every joint moves some inertia.
 fn check_masses(source: &UrdfSource, model: &RobotModel) -> Result<(), InputError> {
     for (i, joint) in model.joints.iter().enumerate() {
-        let loaded = (0..model.dof()).any(|k| model.carries(i, Some(k)) && model.joints[k].mass.is_some());
+        let loaded =
+            (0..model.dof()).any(|k| model.chain(Some(k)).any(|c| c == i) && model.joints[k].mass.is_some());
         if !loaded && joint.armature <= 0.0 {
             return Err(source.error(
                 format!("nothing beyond joint {} has a mass", joint.name),

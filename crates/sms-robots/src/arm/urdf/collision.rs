@@ -3,7 +3,7 @@
 use super::UrdfOptions;
 use super::stl::read_points;
 use super::xml::{UrdfSource, place};
-use crate::arm::shape::LinkShape;
+use crate::LinkShape;
 use glamx::{DPose3, DVec3};
 use roxmltree::Node;
 use sms_core::InputError;

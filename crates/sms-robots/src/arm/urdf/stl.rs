@@ -44,17 +44,11 @@ fn unreadable(path: &Path, why: impl std::fmt::Display) -> InputError {
 fn stl_points(bytes: &[u8]) -> Option<Vec<DVec3>> {
     // An ASCII file begins with `solid`, but so do some binary ones: the length decides.
     let binary = bytes.get(80..84).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
-    if let Some(count) = binary.filter(|&count| bytes.len() == 84 + 50 * count) {
-        let float = |at: usize| {
-            f64::from(f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]))
-        };
-        let corner = |t: usize, k: usize| {
-            let at = 84 + 50 * t + 12 + 12 * k;
-            DVec3::new(float(at), float(at + 4), float(at + 8))
-        };
-        return Some(
-            (0..count).flat_map(|t| (0..3).map(move |k| (t, k))).map(|(t, k)| corner(t, k)).collect(),
-        );
+    if binary.is_some_and(|count| bytes.len() == 84 + 50 * count) {
+        let float = |b: &[u8]| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        let corner = |b: &[u8]| DVec3::new(float(b), float(&b[4..]), float(&b[8..]));
+        let facets = bytes[84..].chunks_exact(50);
+        return Some(facets.flat_map(|facet| facet[12..48].chunks_exact(12).map(corner)).collect());
     }
     let text = std::str::from_utf8(bytes).ok().filter(|t| t.trim_start().starts_with("solid"))?;
     if !text.contains("endsolid") {

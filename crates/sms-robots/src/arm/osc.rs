@@ -2,10 +2,8 @@
 //! predicted motions.
 
 use crate::arm::dynamics::ik::attitude_error;
-use crate::arm::dynamics::linalg::MAX_JOINTS;
-use crate::arm::dynamics::workspace::{Jacobian, JointVector, Workspace};
-use crate::arm::model::RobotModel;
-use crate::arm::strike::sweep::ToolReference;
+use crate::arm::dynamics::workspace::joint_vector;
+use crate::{Jacobian, JointVector, MAX_JOINTS, RobotModel, ToolReference, Workspace};
 use glamx::DMat3;
 use serde::{Deserialize, Serialize};
 use sms_core::Cholesky;
@@ -53,21 +51,6 @@ impl Default for OscConfig {
     }
 }
 
-impl OscConfig {
-    /// The gains of the paper's released code: position 100/45, rotation 7.5/5, posture 3/4.5.
-    pub fn paper() -> Self {
-        Self {
-            position_stiffness: 100.0,
-            position_damping: 45.0,
-            rotation_stiffness: 7.5,
-            rotation_damping: 5.0,
-            posture_stiffness: 100.0,
-            posture_damping: 20.0,
-            ..Self::default()
-        }
-    }
-}
-
 /// Torques of one control period, and the limits that were active.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OscOutput {
@@ -86,7 +69,8 @@ pub struct OscOutput {
 pub struct Osc {
     config: OscConfig,
     posture: JointVector,
-    last_tau: JointVector,
+    /// Torques of the last period.
+    pub(crate) last_tau: JointVector,
     law: TaskLaw,
 }
 
@@ -97,16 +81,15 @@ impl Osc {
     /// # Panics
     /// When there are more than [`MAX_JOINTS`] entries.
     pub fn new(config: OscConfig, posture: &[f64], tau: &[f64]) -> Self {
-        let mut osc =
-            Self { config, posture: [0.0; MAX_JOINTS], last_tau: [0.0; MAX_JOINTS], law: TaskLaw::default() };
-        osc.posture[..posture.len()].copy_from_slice(posture);
-        osc.last_tau[..tau.len()].copy_from_slice(tau);
-        osc
+        let (posture, last_tau) = (joint_vector(posture), joint_vector(tau));
+        Self { config, posture, last_tau, law: TaskLaw::default() }
     }
 
-    /// The settings.
-    pub fn config(&self) -> &OscConfig {
-        &self.config
+    /// The controller of a robot at rest in the posture `q`.
+    pub(crate) fn holding(model: &RobotModel, config: OscConfig, q: &[f64], ws: &mut Workspace) -> Self {
+        let mut tau = [0.0; MAX_JOINTS];
+        model.gravity_torques(q, ws, &mut tau);
+        Self::new(config, q, &tau)
     }
 
     /// Computes the torques of the next period from measured positions and speeds. `reference` holds the pose and
@@ -149,9 +132,7 @@ impl Osc {
         self.last_tau = tau;
         OscOutput { tau, saturated: worst[0].1, rate_limited: worst[1].1, over_speed: worst[2].1 }
     }
-}
 
-impl Osc {
     /// Returns the accelerations under `driven` torques (friction subtracted) in the state of the last step. They equal
     /// those of [`RobotModel::forward_dynamics`], but the dynamics are not recomputed. `None` before the first step.
     pub(crate) fn acceleration(&self, model: &RobotModel, driven: &JointVector) -> Option<JointVector> {
@@ -164,7 +145,7 @@ impl Osc {
         Some(a)
     }
 
-    /// [`RobotModel::point_mobility`] of the tool's origin in the state of the last step; zero before the first.
+    /// [`RobotModel::point_mobility`] of the tool's origin in the state of the last step.
     pub(crate) fn mobility_w(&self) -> DMat3 {
         self.law.mobility_w
     }
@@ -185,7 +166,7 @@ pub(crate) struct TaskGoal<'a> {
 }
 
 /// The law of operational-space control with its buffers.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct TaskLaw {
     ws: Workspace,
     jacobian: Jacobian,
@@ -194,18 +175,6 @@ pub(crate) struct TaskLaw {
     factor: Option<Cholesky<MAX_JOINTS>>,
     /// J M⁻¹ Jᵀ of the tool's origin.
     mobility_w: DMat3,
-}
-
-impl Default for TaskLaw {
-    fn default() -> Self {
-        Self {
-            ws: Workspace::default(),
-            jacobian: Jacobian::default(),
-            bias: [0.0; MAX_JOINTS],
-            factor: None,
-            mobility_w: DMat3::ZERO,
-        }
-    }
 }
 
 impl TaskLaw {
@@ -249,7 +218,7 @@ impl TaskLaw {
         let n = model.dof();
         let ws = &mut self.ws;
         model.bias_torques(q, qd, ws, &mut self.bias);
-        model.fill_mass_matrix(ws);
+        model.mass_matrix(ws);
         model.jacobian(model.tool, ws, &mut self.jacobian);
         let jacobian = &self.jacobian;
         let (p_w, r_w) = model.frame_placed(model.tool, ws);
