@@ -1,6 +1,7 @@
 //! The boundary of a set of tetrahedra as a closed, oriented two-manifold.
 
-use crate::tetra::delaunay::{FACES, NONE, Tetrahedralization};
+use crate::predicates::FACES;
+use crate::tetra::delaunay::{NONE, Tetrahedralization};
 use sms_core::Mesh;
 use std::collections::BTreeMap;
 

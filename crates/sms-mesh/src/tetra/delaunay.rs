@@ -5,7 +5,7 @@
 //! cavity star-shaped, even in degenerate cases: grids, cospherical sets and duplicates need no special case and no
 //! perturbation.
 
-use crate::predicates::{collinear, in_sphere, orient};
+use crate::predicates::{FACES, collinear, in_sphere, orient};
 use crate::tetra::hilbert::insertion_order;
 use glamx::DVec3;
 
@@ -15,9 +15,6 @@ pub const NONE: u32 = u32::MAX;
 const GHOST: u32 = u32::MAX;
 /// A freed slot.
 const FREE: [u32; 4] = [u32::MAX; 4];
-
-/// Corners of the face opposite each corner of a tetrahedron, counter-clockwise seen from outside it.
-pub const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
 /// Tetrahedra that fill the convex hull of points, each with an empty circumsphere.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -6,6 +6,7 @@ mod hilbert;
 mod inside;
 mod maxflow;
 
+pub use crate::predicates::FACES;
 pub use boundary::boundary;
-pub use delaunay::{FACES, NONE, Tetrahedralization, delaunay};
+pub use delaunay::{NONE, Tetrahedralization, delaunay};
 pub use inside::{cut, largest_component, normal_votes, prune};
