@@ -3,6 +3,7 @@
 use crate::fit::config::SphereConfig;
 use crate::fit::linear::solve;
 use crate::statistics::median;
+use crate::tetra::to_circumcenter;
 use glamx::DVec3;
 use rand::RngExt;
 use sms_core::{Aabb, Seed};
@@ -61,7 +62,8 @@ pub fn fit_sphere(points: &[DVec3], config: &SphereConfig, seed: Seed) -> Option
     let mut candidates: Vec<(f64, DVec3, f64)> = (0..config.samples)
         .filter_map(|_| {
             let pick = std::array::from_fn(|_| sample[rng.random_range(0..sample.len())]);
-            let (center, radius) = sphere_through(pick)?;
+            let offset = to_circumcenter(pick)?;
+            let (center, radius) = (pick[0] + offset, offset.length());
             allowed.contains(&radius).then(|| (cost(center, radius), center, radius))
         })
         .collect();
@@ -120,16 +122,6 @@ impl SphereFit {
 
 fn inlier_distance(config: &SphereConfig, radius: f64) -> f64 {
     config.inlier_distance.max(config.inlier_radius_share * radius)
-}
-
-/// Returns the sphere through four points; `None` when they are (nearly) coplanar.
-fn sphere_through(p: [DVec3; 4]) -> Option<(DVec3, f64)> {
-    let (u, v, w) = (p[1] - p[0], p[2] - p[0], p[3] - p[0]);
-    let volume = 2.0 * u.dot(v.cross(w));
-    let offset =
-        (u.length_squared() * v.cross(w) + v.length_squared() * w.cross(u) + w.length_squared() * u.cross(v))
-            / volume;
-    offset.is_finite().then(|| (p[0] + offset, offset.length()))
 }
 
 /// Returns the share of 162 even directions with a point within 12°.
