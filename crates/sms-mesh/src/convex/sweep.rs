@@ -85,6 +85,13 @@ impl GrowingHull {
         self.volume / (6.0 * STEPS * STEPS * STEPS)
     }
 
+    /// Replaces the hull by that of `points`, as after [`Self::clear`], and returns its volume.
+    pub(crate) fn refill<'a>(&mut self, slight: f64, points: impl IntoIterator<Item = &'a DVec3>) -> f64 {
+        self.clear(slight);
+        points.into_iter().for_each(|&p| self.push(p));
+        self.volume()
+    }
+
     fn start(&mut self) {
         let steps: Vec<DVec3> = self.waiting.iter().map(|p| (p * STEPS).round()).collect();
         let Some(simplex) = extreme_simplex(&steps) else { return };
