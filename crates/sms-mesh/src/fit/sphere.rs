@@ -1,7 +1,7 @@
 //! Spheres: random sample consensus (Fischler and Bolles 1981) with geometric refinement.
 
 use crate::fit::config::SphereConfig;
-use crate::fit::linear::solve;
+use crate::fit::linear::{normal_equations, solve, tukey};
 use crate::statistics::median;
 use crate::tetra::to_circumcenter;
 use glamx::DVec3;
@@ -133,12 +133,6 @@ fn coverage(points: &[DVec3], center: DVec3) -> f64 {
     seen as f64 / directions.len() as f64
 }
 
-/// Weight of a residual under Tukey's biweight.
-fn tukey(residual: f64, scale: f64) -> f64 {
-    let x = residual / scale;
-    if x.abs() >= 1.0 { 0.0 } else { (1.0 - x * x).powi(2) }
-}
-
 /// Gauss-Newton on distances to the surface. Returns centre, radius and the residuals' robust deviation.
 fn refine(points: &[DVec3], mut center: DVec3, mut radius: f64, reach: f64) -> (DVec3, f64, f64) {
     let mut sigma = reach;
@@ -214,15 +208,7 @@ pub fn refine_on_rays(
 
 /// Minimises Σ w (r + J x)² for four unknowns; `None` if they are not determined.
 fn solve_normal(rows: impl Iterator<Item = ([f64; 4], f64, f64)>) -> Option<[f64; 4]> {
-    let (mut a, mut b) = ([[0.0; 4]; 4], [0.0; 4]);
-    for (j, r, w) in rows {
-        for m in 0..4 {
-            for n in 0..4 {
-                a[m][n] += w * j[m] * j[n];
-            }
-            b[m] -= w * j[m] * r;
-        }
-    }
+    let (a, b) = normal_equations(rows);
     let size = (0..4).map(|k| a[k][k]).fold(0.0, f64::max);
     solve(a, b, 1e-12 * size)
 }
