@@ -53,7 +53,7 @@ impl Piece {
 
     /// Returns the middle of each face, and its normal with a length of twice the area.
     pub(crate) fn faces(&self) -> impl Iterator<Item = (DVec3, DVec3)> {
-        self.triangles.iter().map(|t| {
+        self.triangles.iter().map(move |t| {
             let [a, b, c] = self.corners(t);
             ((a + b + c) / 3.0, (b - a).cross(c - a))
         })
