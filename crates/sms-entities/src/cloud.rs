@@ -175,13 +175,8 @@ pub(crate) fn drop_islands(discs: Vec<SurfaceDisc>, spacing: f64) -> Vec<Surface
         sizes.push(size);
     }
     let largest = sizes.iter().copied().max().unwrap_or(0);
-    let mut i = 0;
-    let mut discs = discs;
-    discs.retain(|_| {
-        i += 1;
-        sizes[component[i - 1]] * 10 >= largest
-    });
-    discs
+    let kept = discs.into_iter().zip(component).filter(|(_, c)| sizes[*c] * 10 >= largest);
+    kept.map(|(disc, _)| disc).collect()
 }
 
 /// Smallest radius for smoothing normals, metres: depth noise is correlated over a few pixels.
@@ -236,7 +231,7 @@ pub(crate) fn densify(
         for _ in 0..2 {
             for i in 0..cloud.points_w.len() {
                 let (p, n) = (cloud.points_w[i], cloud.normals_w[i]);
-                if let Some(offset) = views.surface_offset(p, n, label, 0.01, 3) {
+                if let Some(offset) = views.surface_offset(p, n, label) {
                     cloud.points_w[i] = p + n * offset;
                 }
             }

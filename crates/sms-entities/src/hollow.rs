@@ -6,7 +6,7 @@
 //! their view.
 
 use crate::mesher::MeshInput;
-use crate::views::{Sight, Views};
+use crate::views::Views;
 use glamx::{DPose3, DVec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
@@ -107,9 +107,5 @@ fn wall_thickness(input: &MeshInput, mesh: &Mesh, solid: &TriMesh) -> Option<f64
 
 /// Returns whether cameras see through the space just above a point.
 fn is_looked_into(views: &Views, top: DVec3, up: DVec3) -> bool {
-    LOOK_ABOVE_M.iter().any(|&h| {
-        let p = top + up * h;
-        let free = |f: &usize| views.sight(*f, p, 0.0) == Sight::Free;
-        (0..views.sequence.frames.len()).filter(free).take(2).count() >= 2
-    })
+    LOOK_ABOVE_M.iter().any(|&h| views.free_count(top + up * h, 2) >= 2)
 }

@@ -2,7 +2,7 @@
 
 use crate::config::{EntitiesConfig, MeshRule};
 use crate::hollow::{HiddenInside, hidden_inside};
-use crate::views::{Sight, Views};
+use crate::views::Views;
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{Mesh, PointCloud, polyhedron_mass_properties};
@@ -135,13 +135,7 @@ fn vote(tetrahedra: &Tetrahedralization, normals: &[DVec3], input: &MeshInput) -
         let frames = views.sequence.frames.len();
         let free: Vec<usize> = (0..votes.len())
             .into_par_iter()
-            .map(|t| {
-                let center = tetrahedra.corners(t).iter().sum::<DVec3>() / 4.0;
-                (0..frames)
-                    .filter(|&f| views.sight(f, center, 0.0) == Sight::Free)
-                    .take(FREE_MOST + 1)
-                    .count()
-            })
+            .map(|t| views.free_count(tetrahedra.corners(t).iter().sum::<DVec3>() / 4.0, FREE_MOST + 1))
             .collect();
         for (vote, free) in votes.iter_mut().zip(free) {
             // A single camera may be wrong at a depth edge; free space needs two.

@@ -197,7 +197,7 @@ impl Baker<'_> {
                 continue;
             }
             let quality = facing * facing / (distance * distance);
-            if quality <= best[keep - 1].0 || views.sight(f, p, 0.0) != Sight::Surface(entity.label) {
+            if quality <= best[keep - 1].0 || views.sight(f, p) != Sight::Surface(entity.label) {
                 continue;
             }
             let Some((u, v, _)) = frame.camera.project(p) else { continue };
