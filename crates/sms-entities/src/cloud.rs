@@ -195,12 +195,8 @@ pub(crate) fn densify(
     let mut rng = seed.rng();
     let mut order: Vec<usize> = (0..discs.len()).collect();
     order.sort_by(|&a, &b| discs[b].opacity.total_cmp(&discs[a].opacity).then(a.cmp(&b)));
-    let (mut points, mut normals, mut owner) = (Vec::new(), Vec::new(), Vec::new());
-    for &i in &order {
-        points.push(discs[i].center);
-        normals.push(discs[i].normal);
-        owner.push(i);
-    }
+    let mut points: Vec<DVec3> = order.iter().map(|&i| discs[i].center).collect();
+    let mut owner = order.clone();
     for &i in &order {
         let disc = &discs[i];
         let area =
@@ -212,10 +208,10 @@ pub(crate) fn densify(
             let radius = config.disc_sigmas * rng.random::<f64>().sqrt();
             let (sin, cos) = (std::f64::consts::TAU * rng.random::<f64>()).sin_cos();
             points.push(disc.center + disc.axes[0] * (radius * cos) + disc.axes[1] * (radius * sin));
-            normals.push(disc.normal);
             owner.push(i);
         }
     }
+    let normals: Vec<DVec3> = owner.iter().map(|&i| discs[i].normal).collect();
     let kept = thin(&points, &normals, 0.8 * spacing);
     let mut cloud = PointCloud::default();
     for i in kept {

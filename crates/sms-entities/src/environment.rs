@@ -1,8 +1,7 @@
 //! The static environment: all unlabelled surface.
 
-use crate::config::EntitiesConfig;
+use crate::draft::SceneInputs;
 use crate::support::{Carrier, RestingPlane, Surroundings};
-use crate::views::Views;
 use glamx::DVec3;
 use sms_core::{Aabb, BACKGROUND, Entity, EntityKind, EntityShape, Mesh, PointCloud};
 use sms_mesh::outline::{is_over, outline_on_plane};
@@ -30,13 +29,11 @@ const DECIMATION_ERRORS: [f64; 3] = [0.002, 0.004, 0.008];
 /// support plane (a half space replaces it) and has flat patches under the objects that rest on it, where no camera
 /// could see. `rests` holds the support of each object by its label. Returns `None` if only the support plane was seen.
 pub(crate) fn environment_entity(
-    views: &Views,
-    around: &Surroundings,
+    scene: SceneInputs<'_>,
     objects: &[Entity],
     rests: &[(u16, RestingPlane)],
-    support_height: Option<f64>,
-    config: &EntitiesConfig,
 ) -> Option<Entity> {
+    let SceneInputs { views, around, support_height, config } = scene;
     let settings = &config.environment;
     let corners = objects.iter().filter_map(|e| e.mesh.aabb()).flat_map(|b| [b.min, b.max]);
     let region = Aabb::of_points(corners).unwrap_or(Aabb { min: DVec3::ZERO, max: DVec3::ZERO });

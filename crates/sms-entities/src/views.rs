@@ -145,7 +145,7 @@ impl Views<'_> {
     }
 
     /// Returns the median signed distance along `normal` from `p_w` to the surface measured at its pixel, over frames
-    /// that label the pixel `label`. Offsets of a centimetre or more are excluded. Returns `None` with fewer than three.
+    /// that label the pixel `label` and measure less than a centimetre. Returns `None` with fewer than three frames.
     pub(crate) fn surface_offset(&self, p_w: DVec3, normal: DVec3, label: u16) -> Option<f64> {
         let mut offsets = Vec::new();
         for (f, frame) in self.sequence.frames.iter().enumerate() {

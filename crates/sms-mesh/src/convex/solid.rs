@@ -21,7 +21,8 @@ pub(crate) struct Decomposition<'a> {
 }
 
 impl Decomposition<'_> {
-    /// Returns whether a hull that adds `surplus` to its piece is within the threshold. The volume may use a `share` of it.
+    /// Returns whether a hull that adds `surplus` to its piece is within the threshold; the volume may use a `share` of
+    /// it.
     pub(crate) fn is_convex(&self, hull: &GrowingHull, surplus: f64, share: f64) -> bool {
         rv(surplus) <= share * self.threshold
             && self.solid.reach(hull.triangles(), self.threshold, self.work) <= self.threshold
