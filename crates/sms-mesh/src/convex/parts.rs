@@ -82,37 +82,28 @@ impl HullPart {
 pub fn convex_parts(mesh: &Mesh, config: &ConvexConfig) -> Vec<Mesh> {
     let finite = || mesh.vertices.iter().copied().filter(|p| p.is_finite());
     let Some(bounds) = Aabb::of_points(finite()) else { return Vec::new() };
-    let frame = UnitFrame { center: bounds.center(), half: 0.5 * bounds.extents().max_element() };
-    if !(frame.half > 1e-9 && frame.half < 1e9 && frame.center.length() < 1e9) {
+    // Unit coordinates are relative to the centre, in halves of the longest side.
+    let (center, half) = (bounds.center(), 0.5 * bounds.extents().max_element());
+    if !(half > 1e-9 && half < 1e9 && center.length() < 1e9) {
         return Vec::new();
     }
-    let points: Vec<DVec3> = mesh.vertices.iter().map(|&p| (p - frame.center) / frame.half).collect();
+    let points: Vec<DVec3> = mesh.vertices.iter().map(|&p| (p - center) / half).collect();
     let solid: Vec<DVec3> = points.iter().copied().filter(|p| p.is_finite()).collect();
     if convex_hull(&solid, 4, 0.0).is_none() {
         return Vec::new();
     }
-    let hulls = decompose(&points, &mesh.triangles, config, frame.half, &Work::default())
+    let hulls = decompose(&points, &mesh.triangles, config, half, &Work::default())
         .or_else(|| voxel_parts(&points, &mesh.triangles, config))
         .unwrap_or_default();
     let hull = |points: &[DVec3]| {
         let mut hull = limited_hull(points, config.max_vertices)?;
         for v in &mut hull.vertices {
-            *v = frame.center + *v * frame.half;
+            *v = center + *v * half;
         }
         (hull.volume() > 0.0 && hull.is_closed_oriented()).then_some(hull)
     };
     let parts: Vec<Mesh> = hulls.iter().filter_map(|p| hull(p)).collect();
-    if !parts.is_empty() {
-        return parts;
-    }
-    hull(&solid).into_iter().collect()
-}
-
-/// Transformation from unit coordinates to those of the mesh.
-#[derive(Clone, Copy)]
-struct UnitFrame {
-    center: DVec3,
-    half: f64,
+    if parts.is_empty() { hull(&solid).into_iter().collect() } else { parts }
 }
 
 /// Returns the points of each part's hull, all in unit coordinates (`half` metres per unit). `total` counts the work.

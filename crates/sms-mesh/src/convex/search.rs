@@ -129,26 +129,17 @@ fn even_offsets(piece: &Piece, normal: DVec3, count: usize) -> Vec<f64> {
     (1..=count).map(|k| low + (high - low) * k as f64 / (count + 1) as f64).collect()
 }
 
-fn add_direction(directions: &mut Vec<DVec3>, d: DVec3) {
-    if directions.iter().all(|e| e.dot(d).abs() < 0.985) {
-        directions.push(d);
-    }
-}
-
 /// Returns the axes of the frame and of the piece, and the diagonals between the latter.
 fn directions(piece: &Piece) -> Vec<DVec3> {
     let mut out = DVec3::AXES.to_vec();
     let axes = piece.axes();
-    for a in axes {
-        add_direction(&mut out, a);
-    }
-    for k in 0..3 {
-        let (a, b) = (axes[k], axes[(k + 1) % 3]);
-        add_direction(&mut out, (a + b).normalize());
-        add_direction(&mut out, (a - b).normalize());
-    }
-    for (a, b) in [(DVec3::X, DVec3::Y), (DVec3::X, DVec3::NEG_Y)] {
-        add_direction(&mut out, (a + b).normalize());
+    let diagonals = [0, 1, 2].map(|k| (axes[k], axes[(k + 1) % 3]));
+    let diagonals = diagonals.into_iter().flat_map(|(a, b)| [(a + b).normalize(), (a - b).normalize()]);
+    let level = [DVec3::Y, DVec3::NEG_Y].map(|b| (DVec3::X + b).normalize());
+    for d in axes.into_iter().chain(diagonals).chain(level) {
+        if out.iter().all(|e| e.dot(d).abs() < 0.985) {
+            out.push(d);
+        }
     }
     out
 }
@@ -156,9 +147,7 @@ fn directions(piece: &Piece) -> Vec<DVec3> {
 /// Returns the axes of the frame and the directions of the largest flat faces.
 fn flat_directions(piece: &Piece) -> Vec<DVec3> {
     let mut flat: Vec<(DVec3, f64)> = Vec::new();
-    for t in &piece.triangles {
-        let [a, b, c] = piece.corners(t);
-        let cross = (b - a).cross(c - a);
+    for (_, cross) in piece.faces() {
         let Some(n) = cross.try_normalize() else { continue };
         match flat.iter().position(|f| f.0.dot(n).abs() > 0.9995) {
             Some(k) => flat[k].1 += cross.length(),
