@@ -48,7 +48,7 @@ impl Tetrahedralization {
     }
 }
 
-/// Returns the vector from the first of four points to the centre of their sphere; `None` if they are (nearly) coplanar.
+/// Returns the vector from the first of four points to the centre of their sphere; `None` if they are nearly coplanar.
 pub(crate) fn to_circumcenter([a, b, c, d]: [DVec3; 4]) -> Option<DVec3> {
     let (u, v, w) = (b - a, c - a, d - a);
     let (uv, vw, wu) = (u.cross(v), v.cross(w), w.cross(u));
