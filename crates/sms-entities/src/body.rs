@@ -9,10 +9,26 @@ use crate::underside::contact_points;
 use crate::views::Views;
 use glamx::DVec3;
 use sms_core::{Entity, EntityKind, EntityShape, Mesh, Seed, Warnings};
-use sms_mesh::{SphereFit, cloud, colors_from, convex_parts_cached, distances, median, primitive_mesh};
+use sms_mesh::{
+    SphereFit, cloud::mean_color, colors_from, convex_parts_cached, distances, median, primitive_mesh,
+};
 
-fn kind(draft: &Draft) -> EntityKind {
-    if draft.fixed { EntityKind::Static } else { EntityKind::Dynamic }
+/// Returns the entity of a draft, without convex parts.
+fn entity(draft: &Draft, shape: EntityShape, mesh: Mesh, observed_share: f64, residual_m: f64) -> Entity {
+    Entity {
+        label: draft.info.id,
+        name: draft.info.name.clone(),
+        description: draft.info.description.clone(),
+        kind: if draft.fixed { EntityKind::Static } else { EntityKind::Dynamic },
+        shape,
+        cloud: draft.cloud.clone(),
+        mesh,
+        parts: Vec::new(),
+        texture: None,
+        observed_share,
+        residual_m,
+        mean_color: mean_color(&draft.cloud.colors),
+    }
 }
 
 /// Builds an object that is a sphere.
@@ -29,23 +45,10 @@ pub(crate) fn sphere_entity(draft: &Draft, fit: &SphereFit) -> Entity {
     for v in &mut mesh.vertices {
         *v += center_w;
     }
-    let mean_color = cloud::mean_color(&draft.cloud.colors);
-    mesh.colors = vec![mean_color; mesh.vertices.len()];
+    mesh.colors = vec![mean_color(&draft.cloud.colors); mesh.vertices.len()];
     let residuals = draft.cloud.points_w.iter().map(|p| (p.distance(center_w) - fit.radius).abs()).collect();
-    Entity {
-        label: draft.info.id,
-        name: draft.info.name.clone(),
-        description: draft.info.description.clone(),
-        kind: kind(draft),
-        shape: EntityShape::Sphere { center_w, radius: fit.radius },
-        cloud: draft.cloud.clone(),
-        mesh,
-        parts: Vec::new(),
-        texture: None,
-        observed_share: fit.coverage,
-        residual_m: median(residuals),
-        mean_color,
-    }
+    let shape = EntityShape::Sphere { center_w, radius: fit.radius };
+    entity(draft, shape, mesh, fit.coverage, median(residuals))
 }
 
 /// Builds an object of any other shape. Returns `None`, with a warning that names the object, if no solid can be made.
@@ -59,64 +62,41 @@ pub(crate) fn mesh_entity(
     let name = &draft.info.name;
     let spacing = draft.spacing;
     let contact = contact_points(&draft.cloud, &draft.rest, views, draft.info.id, spacing);
-    let input = MeshInput {
-        cloud: &draft.cloud,
-        contact: &contact,
-        rest: draft.rest.plane,
-        views: Some(views),
-        spacing,
-    };
+    let (cloud, rest) = (&draft.cloud, draft.rest.plane);
+    let input = MeshInput { cloud, contact: &contact, rest, views: Some(views), spacing };
+    let warn = |code: &str, message: String| warnings.add(STAGE, code, message, "scan it from more sides");
     let Some((mut mesh, path)) = mesher::mesh_object(&input, config) else {
-        warnings.add(
-            STAGE,
+        warn(
             "object_flat",
             format!("the surface seen of `{name}` is flat: no solid can be made of it, and it is left out"),
-            "scan it from more sides",
         );
         return None;
     };
     match path {
         MeshPath::Asked => {}
-        MeshPath::Prune => warnings.add(
-            STAGE,
+        MeshPath::Prune => warn(
             "mesh_rule_changed",
             format!("the chosen mesh rule left no solid of `{name}`; the other rule was used"),
-            "scan it from more sides",
         ),
-        MeshPath::Hull => warnings.add(
-            STAGE,
+        MeshPath::Hull => warn(
             "mesh_is_hull",
             format!("`{name}` is represented by the convex hull of its points: its hollows are lost"),
-            "scan it from more sides",
         ),
     }
     let exact = recognise_primitive(draft, &contact, &mesh, views, config, seed);
     if let Some(solid) = exact.as_ref().and_then(|shape| primitive_mesh(shape, spacing.max(0.004))) {
         mesh = solid;
     }
-    mesh.colors = colors_from(&draft.cloud.points_w, &draft.cloud.colors, &mesh, spacing);
-    let parts = match exact {
-        Some(_) => Vec::new(),
-        None => {
-            let mut parts = convex_parts_cached(&mesh, &config.convex, config.parts_cache.as_deref());
-            crate::foot::keep_foot(&mut parts, &mesh, &draft.rest.plane, config.convex.max_vertices);
-            parts
-        }
-    };
-    let stride = draft.cloud.points_w.len().div_ceil(1500).max(1);
-    let sample: Vec<DVec3> = draft.cloud.points_w.iter().copied().step_by(stride).collect();
-    Some(Entity {
-        label: draft.info.id,
-        name: name.clone(),
-        description: draft.info.description.clone(),
-        kind: kind(draft),
-        shape: exact.unwrap_or(EntityShape::Convex),
-        cloud: draft.cloud.clone(),
-        observed_share: mesher::observed_share(&mesh, &draft.cloud, 1.5 * spacing),
-        residual_m: median(distances(&sample, &mesh)),
-        mean_color: cloud::mean_color(&draft.cloud.colors),
-        mesh,
-        parts,
-        texture: None,
-    })
+    mesh.colors = colors_from(&cloud.points_w, &cloud.colors, &mesh, spacing);
+    let mut parts = Vec::new();
+    if exact.is_none() {
+        parts = convex_parts_cached(&mesh, &config.convex, config.parts_cache.as_deref());
+        crate::foot::keep_foot(&mut parts, &mesh, &rest, config.convex.max_vertices);
+    }
+    let stride = cloud.points_w.len().div_ceil(1500).max(1);
+    let sample: Vec<DVec3> = cloud.points_w.iter().copied().step_by(stride).collect();
+    let observed_share = mesher::observed_share(&mesh, cloud, 1.5 * spacing);
+    let residual_m = median(distances(&sample, &mesh));
+    let shape = exact.unwrap_or(EntityShape::Convex);
+    Some(Entity { parts, ..entity(draft, shape, mesh, observed_share, residual_m) })
 }

@@ -138,14 +138,8 @@ pub fn build_entities(
     cancel.check()?;
     if config.environment.enabled {
         progress.update(2 * count, "environment");
-        entities.extend(environment::environment_entity(
-            &views,
-            &around,
-            &entities,
-            &rests,
-            support_height,
-            config,
-        ));
+        let scene = SceneInputs { views: &views, around: &around, support_height, config };
+        entities.extend(environment::environment_entity(scene, &entities, &rests));
     }
     progress.end(&format!("{} entities", entities.len()));
     Ok(EntitySet { entities, support_height, joined })
@@ -181,56 +175,36 @@ fn draft(
     warnings: &Warnings,
 ) -> Option<Draft> {
     let SceneInputs { views, around, support_height, config } = scene;
+    let name = &info.name;
     let coarse = cloud::coarse_spacing(config);
     if discs.len() < FEW_DISCS {
         let from_model = discs.len();
         discs = cloud::pixel_discs(views, info.id, coarse);
         if discs.len() >= FEW_DISCS {
-            warnings.add(
-                STAGE,
-                "few_gaussians",
-                format!(
-                    "`{}` has only {from_model} Gaussians; its surface comes from its depth pixels",
-                    info.name
-                ),
-                "train longer, or check its masks",
-            );
+            let message =
+                format!("`{name}` has only {from_model} Gaussians; its surface comes from its depth pixels");
+            warnings.add(STAGE, "few_gaussians", message, "train longer, or check its masks");
         }
     }
     let discs = cloud::drop_islands(discs, coarse);
     let spacing = cloud::spacing(&discs, config);
     let mut cloud = cloud::densify(&discs, views, info.id, spacing, config, seed);
-    if cloud.points_w.len() < 20 {
-        warnings.add(
-            STAGE,
-            "object_not_seen",
-            format!(
-                "`{}` was hardly seen ({} surface points) and is left out",
-                info.name,
-                cloud.points_w.len()
-            ),
-            "scan it from nearer or from more sides",
-        );
+    let seen = cloud.points_w.len();
+    if seen < 20 {
+        let message = format!("`{name}` was hardly seen ({seen} surface points) and is left out");
+        warnings.add(STAGE, "object_not_seen", message, "scan it from nearer or from more sides");
         return None;
     }
-    let sparse: Vec<DVec3> = thin(&cloud.points_w, &cloud.normals_w, 0.8 * coarse)
-        .into_iter()
-        .map(|i| cloud.points_w[i])
-        .collect();
+    let sparse = thin(&cloud.points_w, &cloud.normals_w, 0.8 * coarse);
+    let sparse: Vec<DVec3> = sparse.into_iter().map(|i| cloud.points_w[i]).collect();
     // Discs can reach centimetres beyond the seen surface, below the foot. Such points are not part of the object.
     let outside: Vec<DVec3> = sparse.iter().copied().filter(|&p| !views.is_inside(p, info.id)).collect();
     let sparse = if 2 * outside.len() < sparse.len() { sparse } else { outside };
     let rest = support::find_rest(&sparse, info.id, around, support_height, seed);
     if rest.carrier == Carrier::Unseen {
-        warnings.add(
-            STAGE,
-            "support_not_seen",
-            format!(
-                "no surface was seen below `{}`: a level one under its lowest point is assumed",
-                info.name
-            ),
-            "scan the surface around it",
-        );
+        let message =
+            format!("no surface was seen below `{name}`: a level one under its lowest point is assumed");
+        warnings.add(STAGE, "support_not_seen", message, "scan the surface around it");
     }
     let below = drop_carrier_points(&mut cloud, &rest);
     let sphere = recognise_sphere(&cloud, info.id, &rest, scene, seed);
@@ -280,10 +254,8 @@ fn join_pieces(
         extend(&mut host.cloud, piece.cloud);
         host.spacing = host.spacing.max(piece.spacing);
         host.sphere = recognise_sphere(&host.cloud, host.info.id, &host.rest, scene, seed);
-        let message = format!(
-            "`{}` cannot stand by itself and touches `{}`: they were joined",
-            piece.info.name, host.info.name
-        );
+        let (name, host) = (&piece.info.name, &host.info.name);
+        let message = format!("`{name}` cannot stand by itself and touches `{host}`: they were joined");
         warnings.add(STAGE, "pieces_joined", message, "correct the masks if they are two things");
         // The host may be stable now, or touch another object: start over.
         i = 0;
@@ -298,12 +270,10 @@ fn fix_floating(drafts: &mut [Draft], around: &Surroundings, warnings: &Warnings
         if can_stay(i, drafts, around) {
             continue;
         }
-        let draft = &mut drafts[i];
-        draft.fixed = true;
-        let message =
-            format!("nothing that carries `{}` was seen: it is kept as a fixed collider", draft.info.name);
-        let cure = "scan the surface around it, or correct the masks";
-        warnings.add(STAGE, "kept_fixed", message, cure);
+        drafts[i].fixed = true;
+        let name = &drafts[i].info.name;
+        let message = format!("nothing that carries `{name}` was seen: it is kept as a fixed collider");
+        warnings.add(STAGE, "kept_fixed", message, "scan the surface around it, or correct the masks");
     }
 }
 

@@ -175,13 +175,8 @@ pub(crate) fn drop_islands(discs: Vec<SurfaceDisc>, spacing: f64) -> Vec<Surface
         sizes.push(size);
     }
     let largest = sizes.iter().copied().max().unwrap_or(0);
-    let mut i = 0;
-    let mut discs = discs;
-    discs.retain(|_| {
-        i += 1;
-        sizes[component[i - 1]] * 10 >= largest
-    });
-    discs
+    let kept = discs.into_iter().zip(component).filter(|(_, c)| sizes[*c] * 10 >= largest);
+    kept.map(|(disc, _)| disc).collect()
 }
 
 /// Smallest radius for smoothing normals, metres: depth noise is correlated over a few pixels.
@@ -200,12 +195,8 @@ pub(crate) fn densify(
     let mut rng = seed.rng();
     let mut order: Vec<usize> = (0..discs.len()).collect();
     order.sort_by(|&a, &b| discs[b].opacity.total_cmp(&discs[a].opacity).then(a.cmp(&b)));
-    let (mut points, mut normals, mut owner) = (Vec::new(), Vec::new(), Vec::new());
-    for &i in &order {
-        points.push(discs[i].center);
-        normals.push(discs[i].normal);
-        owner.push(i);
-    }
+    let mut points: Vec<DVec3> = order.iter().map(|&i| discs[i].center).collect();
+    let mut owner = order.clone();
     for &i in &order {
         let disc = &discs[i];
         let area =
@@ -217,10 +208,10 @@ pub(crate) fn densify(
             let radius = config.disc_sigmas * rng.random::<f64>().sqrt();
             let (sin, cos) = (std::f64::consts::TAU * rng.random::<f64>()).sin_cos();
             points.push(disc.center + disc.axes[0] * (radius * cos) + disc.axes[1] * (radius * sin));
-            normals.push(disc.normal);
             owner.push(i);
         }
     }
+    let normals: Vec<DVec3> = owner.iter().map(|&i| discs[i].normal).collect();
     let kept = thin(&points, &normals, 0.8 * spacing);
     let mut cloud = PointCloud::default();
     for i in kept {
@@ -236,7 +227,7 @@ pub(crate) fn densify(
         for _ in 0..2 {
             for i in 0..cloud.points_w.len() {
                 let (p, n) = (cloud.points_w[i], cloud.normals_w[i]);
-                if let Some(offset) = views.surface_offset(p, n, label, 0.01, 3) {
+                if let Some(offset) = views.surface_offset(p, n, label) {
                     cloud.points_w[i] = p + n * offset;
                 }
             }

@@ -1,8 +1,7 @@
 //! The static environment: all unlabelled surface.
 
-use crate::config::EntitiesConfig;
+use crate::draft::SceneInputs;
 use crate::support::{Carrier, RestingPlane, Surroundings};
-use crate::views::Views;
 use glamx::DVec3;
 use sms_core::{Aabb, BACKGROUND, Entity, EntityKind, EntityShape, Mesh, PointCloud};
 use sms_mesh::outline::{is_over, outline_on_plane};
@@ -30,13 +29,11 @@ const DECIMATION_ERRORS: [f64; 3] = [0.002, 0.004, 0.008];
 /// support plane (a half space replaces it) and has flat patches under the objects that rest on it, where no camera
 /// could see. `rests` holds the support of each object by its label. Returns `None` if only the support plane was seen.
 pub(crate) fn environment_entity(
-    views: &Views,
-    around: &Surroundings,
+    scene: SceneInputs<'_>,
     objects: &[Entity],
     rests: &[(u16, RestingPlane)],
-    support_height: Option<f64>,
-    config: &EntitiesConfig,
 ) -> Option<Entity> {
+    let SceneInputs { views, around, support_height, config } = scene;
     let settings = &config.environment;
     let corners = objects.iter().filter_map(|e| e.mesh.aabb()).flat_map(|b| [b.min, b.max]);
     let region = Aabb::of_points(corners).unwrap_or(Aabb { min: DVec3::ZERO, max: DVec3::ZERO });
@@ -44,14 +41,15 @@ pub(crate) fn environment_entity(
     let region = Aabb { min: region.min - reach, max: region.max + reach };
     let floor = support_height.unwrap_or(f64::NEG_INFINITY);
     let is_floor = |p: DVec3| p.z < floor + settings.floor_band;
-    let frames: Vec<TsdfFrame> = (0..views.sequence.frames.len())
-        .map(|f| {
-            let frame = &views.sequence.frames[f];
-            TsdfFrame { camera: &frame.camera, depth: &frame.depth, pixels: views.unlabelled_pixels(f) }
+    let frames = views.sequence.frames.iter().enumerate();
+    let frames: Vec<TsdfFrame> = frames
+        .map(|(f, frame)| TsdfFrame {
+            camera: &frame.camera,
+            depth: &frame.depth,
+            pixels: views.unlabelled_pixels(f),
         })
         .collect();
-    let tsdf = Tsdf::fuse(&frames, &region, settings.voxel, is_floor);
-    let mut mesh = tsdf.surface();
+    let mut mesh = Tsdf::fuse(&frames, &region, settings.voxel, is_floor).surface();
     smooth_open(&mut mesh, 0.5 * settings.voxel);
     let own: Vec<DVec3> = objects
         .iter()
@@ -69,19 +67,15 @@ pub(crate) fn environment_entity(
             (rest.carrier == Carrier::Environment && outline.len() >= 3).then_some((outline, rest.plane))
         })
         .collect();
-    let triangles = std::mem::take(&mut mesh.triangles);
-    mesh.triangles = triangles
-        .into_iter()
-        .filter(|t| {
-            let corners = t.map(|v| mesh.vertices[v as usize]);
-            let center = corners.iter().sum::<DVec3>() / 3.0;
-            let replaced = patches.iter().any(|(outline, plane)| {
-                plane.height(center).abs() < 0.012 && is_over(outline, plane, center)
-            });
-            let near_object = own.is_near(center, CLEARANCE);
-            !corners.iter().all(|&p| is_floor(p)) && !replaced && !near_object
-        })
-        .collect();
+    mesh.triangles.retain(|t| {
+        let corners = t.map(|v| mesh.vertices[v as usize]);
+        let center = corners.iter().sum::<DVec3>() / 3.0;
+        let replaced = patches
+            .iter()
+            .any(|(outline, plane)| plane.height(center).abs() < 0.012 && is_over(outline, plane, center));
+        let near_object = own.is_near(center, CLEARANCE);
+        !corners.iter().all(|&p| is_floor(p)) && !replaced && !near_object
+    });
     let hulls: Vec<Mesh> = objects
         .iter()
         .filter(|e| e.kind == EntityKind::Dynamic)

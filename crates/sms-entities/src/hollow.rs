@@ -6,7 +6,7 @@
 //! their view.
 
 use crate::mesher::MeshInput;
-use crate::views::{Sight, Views};
+use crate::views::Views;
 use glamx::{DPose3, DVec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
@@ -29,17 +29,10 @@ const FEWEST: usize = 6;
 /// Share of these columns above which cameras must see free space.
 const LOOKED_INTO: f64 = 0.3;
 
-/// The unseen inner surface of a hollow: points with normals into the hollow.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct HiddenInside {
-    pub(crate) points: Vec<DVec3>,
-    pub(crate) normals: Vec<DVec3>,
-}
-
-/// Returns the unseen floor of a hollow of `mesh`, which was made from `input`, and the unseen part of its walls. These
-/// wall points are the seen outside, moved inwards by the thickness of the wall. Returns `None` if the object is not
-/// hollow, or its hollow was seen to the floor.
-pub(crate) fn hidden_inside(input: &MeshInput, mesh: &Mesh) -> Option<HiddenInside> {
+/// Returns the unseen floor of a hollow of `mesh`, which was made from `input`, and the unseen part of its walls, as
+/// points with normals into the hollow. The wall points are the seen outside, moved inwards by the thickness of the
+/// wall. Returns `None` if the object is not hollow, or its hollow was seen to the floor.
+pub(crate) fn hidden_inside(input: &MeshInput, mesh: &Mesh) -> Option<Vec<(DVec3, DVec3)>> {
     let views = input.views?;
     let solid = TriMesh::new(mesh.vertices.clone(), mesh.triangles.clone()).ok()?;
     let wall = wall_thickness(input, mesh, &solid)?;
@@ -60,19 +53,14 @@ pub(crate) fn hidden_inside(input: &MeshInput, mesh: &Mesh) -> Option<HiddenInsi
     if looked_into < FEWEST || (looked_into as f64) < LOOKED_INTO * columns.len() as f64 {
         return None;
     }
-    let mut inside = HiddenInside::default();
-    for (q, _) in &columns {
-        inside.points.push(*q + up * wall);
-        inside.normals.push(up);
-    }
+    let mut inside: Vec<(DVec3, DVec3)> = columns.iter().map(|(q, _)| (*q + up * wall, up)).collect();
     // The columns end at this height; the seen part of the wall begins there.
     let end = median(columns.iter().map(|c| c.1).collect());
     for (&p, &n) in input.cloud.points_w.iter().zip(&input.cloud.normals_w) {
         let height = plane.height(p);
         let deep = || exit(&solid, p - n * (0.5 * wall), -n).is_some_and(|d| d > COLUMN_WALLS * wall);
         if height > wall && height < end && n.dot(up).abs() < 0.8 && deep() {
-            inside.points.push(p - n * wall);
-            inside.normals.push(-n);
+            inside.push((p - n * wall, -n));
         }
     }
     Some(inside)
@@ -107,9 +95,5 @@ fn wall_thickness(input: &MeshInput, mesh: &Mesh, solid: &TriMesh) -> Option<f64
 
 /// Returns whether cameras see through the space just above a point.
 fn is_looked_into(views: &Views, top: DVec3, up: DVec3) -> bool {
-    LOOK_ABOVE_M.iter().any(|&h| {
-        let p = top + up * h;
-        let free = |f: &usize| views.sight(*f, p, 0.0) == Sight::Free;
-        (0..views.sequence.frames.len()).filter(free).take(2).count() >= 2
-    })
+    LOOK_ABOVE_M.iter().any(|&h| views.free_count(top + up * h, 2) >= 2)
 }

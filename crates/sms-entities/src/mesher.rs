@@ -1,8 +1,8 @@
 //! From an oriented cloud with its contact points to a closed mesh (paper, Section "Materialize").
 
 use crate::config::{EntitiesConfig, MeshRule};
-use crate::hollow::{HiddenInside, hidden_inside};
-use crate::views::{Sight, Views};
+use crate::hollow::hidden_inside;
+use crate::views::Views;
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{Mesh, PointCloud, polyhedron_mass_properties};
@@ -72,7 +72,7 @@ pub fn mesh_cloud(cloud: &PointCloud, config: &EntitiesConfig) -> Option<Mesh> {
 
 /// A closed mesh with positive volume; `None` when the points lie in one plane.
 pub(crate) fn mesh_object(input: &MeshInput, config: &EntitiesConfig) -> Option<(Mesh, MeshPath)> {
-    let first = mesh_with(input, &HiddenInside::default(), config)?;
+    let first = mesh_with(input, &[], config)?;
     if config.mesh != MeshRule::Vote || first.1 != MeshPath::Asked {
         return Some(first);
     }
@@ -82,14 +82,18 @@ pub(crate) fn mesh_object(input: &MeshInput, config: &EntitiesConfig) -> Option<
     hollowed.or(Some(first))
 }
 
-/// Like [`mesh_object`], with additional points on the unseen inside of a hollow.
-fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) -> Option<(Mesh, MeshPath)> {
+/// Like [`mesh_object`], with additional points and normals on the unseen inside of a hollow.
+fn mesh_with(
+    input: &MeshInput,
+    inside: &[(DVec3, DVec3)],
+    config: &EntitiesConfig,
+) -> Option<(Mesh, MeshPath)> {
     let mut points = input.cloud.points_w.clone();
     let mut normals = input.cloud.normals_w.clone();
     points.extend_from_slice(input.contact);
     normals.extend(std::iter::repeat_n(-input.rest.normal, input.contact.len()));
-    points.extend_from_slice(&inside.points);
-    normals.extend_from_slice(&inside.normals);
+    points.extend(inside.iter().map(|(p, _)| p));
+    normals.extend(inside.iter().map(|(_, n)| n));
     let tetrahedra = delaunay(&points);
     let hull = convex_hull(&points, usize::MAX, 0.0)?;
     let usable = |mesh: &Mesh| {
@@ -98,11 +102,8 @@ fn mesh_with(input: &MeshInput, inside: &HiddenInside, config: &EntitiesConfig) 
             // An outlier a million metres away makes a needle. Its inertia is lost in rounding.
             && polyhedron_mass_properties(mesh, 1.0).is_ok_and(|m| is_wide(m.inertia()))
     };
-    let rules = match config.mesh {
-        MeshRule::Vote => [(MeshRule::Vote, MeshPath::Asked), (MeshRule::Prune, MeshPath::Prune)],
-        MeshRule::Prune => [(MeshRule::Prune, MeshPath::Asked), (MeshRule::Vote, MeshPath::Prune)],
-    };
-    for (rule, path) in rules {
+    let other = if config.mesh == MeshRule::Vote { MeshRule::Prune } else { MeshRule::Vote };
+    for (rule, path) in [(config.mesh, MeshPath::Asked), (other, MeshPath::Prune)] {
         let chosen = match rule {
             MeshRule::Vote => vote(&tetrahedra, &normals, input),
             MeshRule::Prune => {
@@ -135,13 +136,7 @@ fn vote(tetrahedra: &Tetrahedralization, normals: &[DVec3], input: &MeshInput) -
         let frames = views.sequence.frames.len();
         let free: Vec<usize> = (0..votes.len())
             .into_par_iter()
-            .map(|t| {
-                let center = tetrahedra.corners(t).iter().sum::<DVec3>() / 4.0;
-                (0..frames)
-                    .filter(|&f| views.sight(f, center, 0.0) == Sight::Free)
-                    .take(FREE_MOST + 1)
-                    .count()
-            })
+            .map(|t| views.free_count(tetrahedra.corners(t).iter().sum::<DVec3>() / 4.0, FREE_MOST + 1))
             .collect();
         for (vote, free) in votes.iter_mut().zip(free) {
             // A single camera may be wrong at a depth edge; free space needs two.

@@ -51,7 +51,7 @@ pub(crate) fn recognise_sphere(
     scene: SceneInputs<'_>,
     seed: Seed,
 ) -> Option<SphereFit> {
-    let SceneInputs { views, around, config, .. } = scene;
+    let SceneInputs { views, config, .. } = scene;
     let points = &cloud.points_w;
     let first = fit_sphere(points, &config.sphere, seed)?;
     if !first.explains(points, &config.sphere) {
@@ -70,7 +70,7 @@ pub(crate) fn recognise_sphere(
         }
         None => first,
     };
-    (!is_contradicted(&best, views, around, label, rest)).then_some(best)
+    (!is_contradicted(&best, label, rest, scene)).then_some(best)
 }
 
 /// Largest share of a sphere's seen directions with free space behind the surface. Mask and depth edges cost a few
@@ -93,20 +93,14 @@ pub(crate) fn sunk(fit: &SphereFit, around: &Surroundings, rest: &RestingPlane) 
 }
 
 /// Returns whether the cameras or the floor contradict a whole sphere. The wall of a round bowl also lies on a sphere.
-fn is_contradicted(
-    fit: &SphereFit,
-    views: &Views,
-    around: &Surroundings,
-    label: u16,
-    rest: &RestingPlane,
-) -> bool {
-    if sunk(fit, around, rest) > SUNK_M {
+fn is_contradicted(fit: &SphereFit, label: u16, rest: &RestingPlane, scene: SceneInputs<'_>) -> bool {
+    if sunk(fit, scene.around, rest) > SUNK_M {
         return true;
     }
     let (mut seen, mut through) = (0, 0);
     for direction in even_directions(400) {
         // Slightly inside, so that a noisy surface does not count as free space.
-        let count = views.count(fit.center + direction * (0.97 * fit.radius), label);
+        let count = scene.views.count(fit.center + direction * (0.97 * fit.radius), label);
         if count.own + count.free >= 2 {
             seen += 1;
             through += usize::from(count.free > count.own);

@@ -55,8 +55,8 @@ struct Square {
     x: usize,
     y: usize,
     side: usize,
-    /// Triangles in the lower left half and in the upper right half.
-    triangles: [Option<usize>; 2],
+    /// Triangles in the lower left half and, if there is one, in the upper right half.
+    triangles: (usize, Option<usize>),
 }
 
 impl Square {
@@ -100,7 +100,7 @@ fn pack(mesh: &Mesh, config: &TextureConfig) -> (Vec<Square>, usize, usize) {
                 row = 0;
             }
             row = row.max(side);
-            squares.push(Square { x, y, side, triangles: [Some(pair[0].1), pair.get(1).map(|p| p.1)] });
+            squares.push(Square { x, y, side, triangles: (pair[0].1, pair.get(1).map(|p| p.1)) });
             x += side;
         }
         let height = (y + row).next_multiple_of(4).max(4);
@@ -116,12 +116,10 @@ fn bake(entity: &Entity, views: &Views, images: &[&ColorImage], config: &Texture
     let (squares, width, height) = pack(mesh, config);
     let mut corner_uv = vec![[[0.0f32; 2]; 3]; mesh.triangles.len()];
     for square in &squares {
-        for (half, triangle) in square.triangles.iter().enumerate() {
-            if let Some(t) = *triangle {
-                corner_uv[t] = square
-                    .corners(half)
-                    .map(|[x, y]| [(x / width as f64) as f32, (1.0 - y / height as f64) as f32]);
-            }
+        for (half, t) in std::iter::once(square.triangles.0).chain(square.triangles.1).enumerate() {
+            let corners = square.corners(half);
+            corner_uv[t] =
+                corners.map(|[x, y]| [(x / width as f64) as f32, (1.0 - y / height as f64) as f32]);
         }
     }
     let baker = Baker { entity, normals: mesh.vertex_normals(), views, images, config };
@@ -130,13 +128,10 @@ fn bake(entity: &Entity, views: &Views, images: &[&ColorImage], config: &Texture
         .map(|square| {
             let texel = |i: usize| {
                 let (x, y) = (i % square.side, i / square.side);
-                let half = usize::from(x + y + 1 > square.side);
-                let triangle = square.triangles[half].or(square.triangles[0]);
-                let Some(t) = triangle else { return entity.mean_color };
+                let upper = square.triangles.1.filter(|_| x + y + 1 > square.side);
                 let at = [square.x as f64 + x as f64 + 0.5, square.y as f64 + y as f64 + 0.5];
-                let weights =
-                    barycentric(at, square.corners(if square.triangles[half].is_some() { half } else { 0 }));
-                baker.color_at(t, weights)
+                let weights = barycentric(at, square.corners(usize::from(upper.is_some())));
+                baker.color_at(upper.unwrap_or(square.triangles.0), weights)
             };
             (0..square.side * square.side).map(texel).collect()
         })
@@ -197,7 +192,7 @@ impl Baker<'_> {
                 continue;
             }
             let quality = facing * facing / (distance * distance);
-            if quality <= best[keep - 1].0 || views.sight(f, p, 0.0) != Sight::Surface(entity.label) {
+            if quality <= best[keep - 1].0 || views.sight(f, p) != Sight::Surface(entity.label) {
                 continue;
             }
             let Some((u, v, _)) = frame.camera.project(p) else { continue };
@@ -268,16 +263,14 @@ mod tests {
                         prop_assert!(!std::mem::replace(&mut used[y * width + x], true));
                     }
                 }
-                for (half, t) in s.triangles.iter().enumerate() {
-                    if let Some(t) = *t {
-                        prop_assert!(!std::mem::replace(&mut seen[t], true));
-                        for [x, y] in s.corners(half) {
-                            let (x, y) = (x - s.x as f64, y - s.y as f64);
-                            let diagonal = x + y - s.side as f64;
-                            prop_assert!(x >= 1.0 && y >= 1.0 && x <= s.side as f64 - 1.0 && y <= s.side as f64 - 1.0);
-                            let apart = if half == 0 { -diagonal } else { diagonal };
-                            prop_assert!(apart >= 1.0);
-                        }
+                for (half, t) in std::iter::once(s.triangles.0).chain(s.triangles.1).enumerate() {
+                    prop_assert!(!std::mem::replace(&mut seen[t], true));
+                    for [x, y] in s.corners(half) {
+                        let (x, y) = (x - s.x as f64, y - s.y as f64);
+                        let diagonal = x + y - s.side as f64;
+                        prop_assert!(x >= 1.0 && y >= 1.0 && x <= s.side as f64 - 1.0 && y <= s.side as f64 - 1.0);
+                        let apart = if half == 0 { -diagonal } else { diagonal };
+                        prop_assert!(apart >= 1.0);
                     }
                 }
             }

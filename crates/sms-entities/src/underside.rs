@@ -165,7 +165,7 @@ const UNDER_SHARES: [f64; 4] = [0.0, 0.1, 0.2, 0.35];
 fn is_looked_past(views: &Views, p_w: DVec3, label: u16) -> bool {
     let frames = views.sequence.frames.len();
     let needed = if frames < 6 { 1 } else { 2 };
-    let past = |f: &usize| match views.sight(*f, p_w, 0.0) {
+    let past = |f: &usize| match views.sight(*f, p_w) {
         Sight::Surface(there) => there != label,
         Sight::Free => views.label_at(*f, p_w) != Some(label),
         _ => false,

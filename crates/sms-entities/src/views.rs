@@ -49,43 +49,48 @@ pub(crate) struct SightCount {
 }
 
 impl Views<'_> {
-    /// Returns the visibility of `p_w` in frame `f`; `slack` (metres) widens the tolerance.
-    pub(crate) fn sight(&self, f: usize, p_w: DVec3, slack: f64) -> Sight {
-        let frame = &self.sequence.frames[f];
-        let Some((u, v, z)) = frame.camera.project(p_w) else { return Sight::Unknown };
-        let Some((x, y)) = frame.camera.pixel_at(u, v) else { return Sight::Unknown };
-        let depth = f64::from(frame.depth[(x, y)]);
+    /// Returns the depth of `p_w` in frame `f`, metres, and the pixel that it projects to.
+    fn pixel(&self, f: usize, p_w: DVec3) -> Option<(f64, (usize, usize))> {
+        let camera = &self.sequence.frames[f].camera;
+        let (u, v, z) = camera.project(p_w)?;
+        Some((z, camera.pixel_at(u, v)?))
+    }
+
+    /// Returns the visibility of `p_w` in frame `f`.
+    pub(crate) fn sight(&self, f: usize, p_w: DVec3) -> Sight {
+        let Some((z, at)) = self.pixel(f, p_w) else { return Sight::Unknown };
+        let depth = f64::from(self.sequence.frames[f].depth[at]);
+        let tolerance = depth_tolerance(z);
         if depth <= 0.0 {
-            return Sight::Unknown;
-        }
-        let tolerance = depth_tolerance(z) + slack;
-        if depth > z + tolerance {
+            Sight::Unknown
+        } else if depth > z + tolerance {
             Sight::Free
         } else if depth < z - tolerance {
             Sight::Hidden
         } else {
-            Sight::Surface(self.labels.maps[f][(x, y)])
+            Sight::Surface(self.labels.maps[f][at])
         }
+    }
+
+    /// Returns the number of frames that see through `p_w`, at most `most`.
+    pub(crate) fn free_count(&self, p_w: DVec3, most: usize) -> usize {
+        let frames = 0..self.sequence.frames.len();
+        frames.filter(|&f| self.sight(f, p_w) == Sight::Free).take(most).count()
     }
 
     /// Returns the label of the pixel that `p_w` projects to in frame `f`, without a depth test.
     pub(crate) fn label_at(&self, f: usize, p_w: DVec3) -> Option<u16> {
-        let (u, v, _) = self.sequence.frames[f].camera.project(p_w)?;
-        let (x, y) = self.sequence.frames[f].camera.pixel_at(u, v)?;
-        Some(self.labels.maps[f][(x, y)])
+        self.pixel(f, p_w).map(|(_, at)| self.labels.maps[f][at])
     }
 
     /// Counts over all frames how they see `p_w`, for an object with this label.
     pub(crate) fn count(&self, p_w: DVec3, label: u16) -> SightCount {
         let mut count = SightCount::default();
         for f in 0..self.sequence.frames.len() {
-            match self.sight(f, p_w, 0.0) {
+            match self.sight(f, p_w) {
                 Sight::Surface(seen) => {
-                    if seen == label {
-                        count.own += 1;
-                    } else {
-                        count.other += 1;
-                    }
+                    count.own += usize::from(seen == label);
+                    count.other += usize::from(seen != label);
                     let eye = self.sequence.frames[f].camera.center_w();
                     count.towards += (eye - p_w).normalize_or_zero();
                 }
@@ -102,7 +107,7 @@ impl Views<'_> {
         let frames = self.sequence.frames.len();
         let mut hidden = 0;
         for f in 0..frames {
-            match self.sight(f, p_w, 0.0) {
+            match self.sight(f, p_w) {
                 Sight::Surface(seen) if seen == label => return false,
                 Sight::Hidden => hidden += 1,
                 _ => {}
@@ -140,34 +145,26 @@ impl Views<'_> {
     }
 
     /// Returns the median signed distance along `normal` from `p_w` to the surface measured at its pixel, over frames
-    /// that label the pixel `label`. Returns `None` with fewer than `min_frames`.
-    pub(crate) fn surface_offset(
-        &self,
-        p_w: DVec3,
-        normal: DVec3,
-        label: u16,
-        limit: f64,
-        min_frames: usize,
-    ) -> Option<f64> {
+    /// that label the pixel `label` and measure less than a centimetre. Returns `None` with fewer than three frames.
+    pub(crate) fn surface_offset(&self, p_w: DVec3, normal: DVec3, label: u16) -> Option<f64> {
         let mut offsets = Vec::new();
         for (f, frame) in self.sequence.frames.iter().enumerate() {
-            let Some((u, v, _)) = frame.camera.project(p_w) else { continue };
-            let Some((x, y)) = frame.camera.pixel_at(u, v) else { continue };
-            let depth = f64::from(frame.depth[(x, y)]);
+            let Some((_, at)) = self.pixel(f, p_w) else { continue };
+            let depth = f64::from(frame.depth[at]);
             let towards = (frame.camera.center_w() - p_w).normalize_or_zero();
             // In a grazing view, one pixel causes a large error along the normal.
-            if depth <= 0.0 || self.labels.maps[f][(x, y)] != label || towards.dot(normal) < 0.35 {
+            if depth <= 0.0 || self.labels.maps[f][at] != label || towards.dot(normal) < 0.35 {
                 continue;
             }
             // The measured point belongs to the centre of the pixel. Comparing only along the normal moves it along the
             // tangent plane to the ray of `p_w`.
-            let measured = frame.camera.unproject_pixel(x, y, depth);
+            let measured = frame.camera.unproject_pixel(at.0, at.1, depth);
             let offset = (measured - p_w).dot(normal);
-            if offset.abs() < limit {
+            if offset.abs() < 0.01 {
                 offsets.push(offset);
             }
         }
-        (offsets.len() >= min_frames).then(|| median(offsets))
+        (offsets.len() >= 3).then(|| median(offsets))
     }
 }
 

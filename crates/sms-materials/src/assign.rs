@@ -75,36 +75,29 @@ pub fn assign(
 
 /// Returns the material of one object before the user's values.
 pub fn without_override(object: &ObjectQuery, table: &MaterialTable) -> Material {
-    let by_label = || {
-        let known = table.known(&object.description).or_else(|| table.known(&object.name));
-        known.map(|k| of_size(k, object))
+    let by_label = || table.known(&object.description).or_else(|| table.known(&object.name));
+    let known = match &object.estimate {
+        Some(estimate) => known_of_estimate(estimate, table)
+            .or_else(|| if estimate.label_is_right == Some(false) { None } else { by_label() }),
+        None => by_label(),
     };
-    let Some(estimate) = &object.estimate else {
-        let known = by_label();
-        let form = known.as_ref().map_or(CavityKind::Plain, |k| k.form);
-        let mut material = known.map_or_else(|| table.prior(object.is_sphere), |k| k.material);
-        material.fill_factor = fill_of_mesh(material.fill_factor, form, object);
-        return material;
-    };
-    let known = known_of_estimate(estimate, table)
-        .map(|k| of_size(k, object))
-        .or_else(|| if estimate.label_is_right == Some(false) { None } else { by_label() });
+    let known = known.map(|k| of_size(k, object));
     let form = known.as_ref().map_or(CavityKind::Plain, |k| k.form);
     let mut material = known.map_or_else(|| table.prior(object.is_sphere), |k| k.material);
-    if table.class_of(&estimate.material).is_none() {
-        // Materials without a class of the table keep their given name.
-        material.class = estimate.class().unwrap_or(material.class);
-    }
-    for (slot, said) in [
-        (&mut material.density, estimate.density),
-        (&mut material.fill_factor, estimate.fill_factor),
-        (&mut material.friction, estimate.friction),
-        (&mut material.restitution, estimate.restitution),
-        (&mut material.youngs_modulus_pa, estimate.youngs_modulus_pa),
-        (&mut material.poissons_ratio, estimate.poissons_ratio),
-    ] {
-        if let Some(value) = said {
-            *slot = Property::new(value, PropertySource::Vlm);
+    if let Some(estimate) = &object.estimate {
+        if table.class_of(&estimate.material).is_none() {
+            // Materials without a class of the table keep their given name.
+            material.class = estimate.class().unwrap_or(material.class);
+        }
+        for (slot, said) in [
+            (&mut material.density, estimate.density),
+            (&mut material.fill_factor, estimate.fill_factor),
+            (&mut material.friction, estimate.friction),
+            (&mut material.restitution, estimate.restitution),
+            (&mut material.youngs_modulus_pa, estimate.youngs_modulus_pa),
+            (&mut material.poissons_ratio, estimate.poissons_ratio),
+        ] {
+            *slot = said.map_or(*slot, |value| Property::new(value, PropertySource::Vlm));
         }
     }
     material.fill_factor = fill_of_mesh(material.fill_factor, form, object);
@@ -114,7 +107,8 @@ pub fn without_override(object: &ObjectQuery, table: &MaterialTable) -> Material
 /// Looks up the model's words in the table. The material that it names precedes the words of its label: a "glass" of plastic is
 /// plastic.
 fn known_of_estimate(estimate: &Estimate, table: &MaterialTable) -> Option<KnownObjectMaterial> {
-    let known = table.known(&estimate.words())?;
+    let words = format!("{} {}", estimate.material, estimate.label);
+    let known = table.known(&words)?;
     let Some(class) = table.class_of(&estimate.material) else { return Some(known) };
     if known.material.class == class {
         return Some(known);
@@ -134,9 +128,7 @@ fn of_size(mut known: KnownObjectMaterial, object: &ObjectQuery) -> KnownObjectM
     let hull_m3 = object.volume_m3 / object.hull_fill;
     if hull_m3.is_finite() && hull_m3 > 0.0 && object.hull_area_m2 > 0.0 {
         let over_hull = |wall_m: f64| (wall_m * object.hull_area_m2 / hull_m3).clamp(1e-3, 1.0);
-        let i = walls.value;
-        let fill = Interval::new(over_hull(i.best), over_hull(i.low), over_hull(i.high));
-        known.material.fill_factor = Property::new(fill, walls.source);
+        known.material.fill_factor = Property::new(mapped(walls.value, over_hull), walls.source);
     }
     known
 }
@@ -155,8 +147,12 @@ fn fill_of_mesh(fill: Property, form: CavityKind, object: &ObjectQuery) -> Prope
     }
     // The mesh excludes part of the cavity or of a frame's gaps: the same material in a smaller volume.
     let over_mesh = |share: f64| (share / object.hull_fill).min(1.0);
-    let i = fill.value;
-    Property::new(Interval::new(over_mesh(i.best), over_mesh(i.low), over_mesh(i.high)), fill.source)
+    Property::new(mapped(fill.value, over_mesh), fill.source)
+}
+
+/// Applies an increasing function to an interval.
+pub(crate) fn mapped(i: Interval, f: impl Fn(f64) -> f64) -> Interval {
+    Interval::new(f(i.best), f(i.low), f(i.high))
 }
 
 #[cfg(test)]

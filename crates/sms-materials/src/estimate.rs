@@ -31,11 +31,6 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// Returns the words for the look-up: material first, then label.
-    pub(crate) fn words(&self) -> String {
-        format!("{} {}", self.material, self.label)
-    }
-
     /// Returns the material as a short word or phrase, or `None` if it is missing.
     pub(crate) fn class(&self) -> Option<String> {
         let words: Vec<&str> = self.material.split_whitespace().take(4).collect();

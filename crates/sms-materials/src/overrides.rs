@@ -1,5 +1,6 @@
 //! The user's own values.
 
+use crate::assign::mapped;
 use crate::table::fill_of_another;
 use crate::{MaterialTable, ObjectQuery};
 use serde::{Deserialize, Serialize};
@@ -93,10 +94,6 @@ impl ObjectOverride {
             _ => return None,
         })
     }
-
-    fn is_empty(&self) -> bool {
-        *self == Self::default()
-    }
 }
 
 /// A file of overrides: `[object.NAME]` tables.
@@ -170,8 +167,9 @@ impl Overrides {
             Some(&[value]) => OverrideValue::Exact(value),
             Some(&[best, low, high]) => OverrideValue::Interval(OverrideInterval { best, low, high }),
             _ => {
+                let what = format!("`{text}` is not a value for {key}");
                 return Err(InputError::new(
-                    format!("`{text}` is not a value for {key}"),
+                    what,
                     given,
                     "give a number in SI units, or three: best,low,high",
                 ));
@@ -204,7 +202,7 @@ impl Overrides {
             Some(slot) => slot.take().is_some(),
             None => object.class.take().is_some(),
         };
-        if object.is_empty() {
+        if *object == ObjectOverride::default() {
             self.object.remove(name);
         }
         Ok(had)
@@ -219,9 +217,7 @@ impl Overrides {
             } else if over.density.is_some() || over.fill_factor.is_some() {
                 under.mass_kg = None;
             }
-            if over.class.is_some() {
-                under.class = over.class.take();
-            }
+            under.class = over.class.take().or(under.class.take());
             for (key, _) in NUMBERS {
                 if let (Some(slot), Some(Some(value))) = (under.slot(key), over.slot(key).copied()) {
                     *slot = Some(value);
@@ -238,42 +234,32 @@ impl Overrides {
     /// # Errors
     /// [`InputError`] naming the file, the invalid entry and the valid ones.
     pub fn check(&self, objects: &[ObjectQuery], table: &MaterialTable) -> Result<(), InputError> {
+        let fault = |what: String, cure: String| Err(InputError::new(what, &self.path, cure));
         for (name, o) in &self.object {
             let Some(object) = objects.iter().find(|q| q.name == *name) else {
                 let known: Vec<&str> = objects.iter().map(|q| q.name.as_str()).collect();
-                return Err(InputError::new(
-                    format!("there is no object `{name}` in this scene"),
-                    &self.path,
-                    format!("name one of: {}", known.join(", ")),
-                ));
+                let what = format!("there is no object `{name}` in this scene");
+                return fault(what, format!("name one of: {}", known.join(", ")));
             };
             if let Some(class) = o.class.as_deref().filter(|c| table.class(c).is_none()) {
                 let classes: Vec<&str> = table.classes().collect();
-                return Err(InputError::new(
-                    format!("`{name}` has the unknown class `{class}`"),
-                    &self.path,
-                    format!("use one of: {}", classes.join(", ")),
-                ));
+                let what = format!("`{name}` has the unknown class `{class}`");
+                return fault(what, format!("use one of: {}", classes.join(", ")));
             }
-            if o.mass_kg.is_some() && object.volume_m3 <= 0.0 {
-                return Err(InputError::new(
-                    format!("mass_kg cannot be given for `{name}`, which encloses no volume"),
-                    &self.path,
-                    "remove it: fixed bodies have no mass",
-                ));
+            let Some(mass) = o.mass_kg.map(OverrideValue::interval) else { continue };
+            let volume_m3 = object.volume_m3;
+            if volume_m3 <= 0.0 {
+                let what = format!("mass_kg cannot be given for `{name}`, which encloses no volume");
+                return fault(what, "remove it: fixed bodies have no mass".to_owned());
             }
-            if let Some(mass) = o.mass_kg.map(OverrideValue::interval) {
-                let (low, high) = (mass.low / object.volume_m3, mass.high / object.volume_m3);
-                if low < LEAST_EFFECTIVE || high > MOST_EFFECTIVE {
-                    return Err(InputError::new(
-                        format!(
-                            "mass_kg of `{name}` is {low:.3} to {high:.3} kg/m³ over its {:.1} cm³",
-                            1e6 * object.volume_m3
-                        ),
-                        &self.path,
-                        format!("give kilograms, between {LEAST_EFFECTIVE} and {MOST_EFFECTIVE} kg/m³"),
-                    ));
-                }
+            let (low, high) = (mass.low / volume_m3, mass.high / volume_m3);
+            if low < LEAST_EFFECTIVE || high > MOST_EFFECTIVE {
+                let volume_cm3 = 1e6 * volume_m3;
+                let what = format!(
+                    "mass_kg of `{name}` is {low:.3} to {high:.3} kg/m³ over its {volume_cm3:.1} cm³"
+                );
+                let cure = format!("give kilograms, between {LEAST_EFFECTIVE} and {MOST_EFFECTIVE} kg/m³");
+                return fault(what, cure);
             }
         }
         Ok(())
@@ -286,14 +272,9 @@ impl Overrides {
             Some(mut of_class) => {
                 // The user gives the class, the table its values; the form is kept.
                 of_class.class = o.class.clone().unwrap_or_default();
-                of_class.fill_factor = if of_class.class == base.class {
-                    base.fill_factor
-                } else {
-                    match base.fill_factor.value {
-                        i if i.low >= 1.0 => base.fill_factor,
-                        _ => fill_of_another(&base.fill_factor, &base, &of_class),
-                    }
-                };
+                let fill = &base.fill_factor;
+                let is_kept = of_class.class == base.class || fill.value.low >= 1.0;
+                of_class.fill_factor = if is_kept { *fill } else { fill_of_another(fill, &base, &of_class) };
                 of_class
             }
             None => base,
@@ -307,15 +288,10 @@ impl Overrides {
             (&mut material.youngs_modulus_pa, o.youngs_modulus_pa),
             (&mut material.poissons_ratio, o.poissons_ratio),
         ] {
-            if let Some(value) = value {
-                *slot = Property::new(value.interval(), PropertySource::User);
-            }
+            *slot = value.map_or(*slot, |v| Property::new(v.interval(), PropertySource::User));
         }
         if let Some(mass) = o.mass_kg.filter(|_| object.volume_m3 > 0.0) {
-            let per_volume = |kg: f64| kg / object.volume_m3;
-            let mass = mass.interval();
-            let effective = Interval::new(per_volume(mass.best), per_volume(mass.low), per_volume(mass.high));
-            weigh(&mut material, effective);
+            weigh(&mut material, mapped(mass.interval(), |kg| kg / object.volume_m3));
         }
         material
     }
@@ -327,9 +303,7 @@ fn weigh(material: &mut Material, effective: Interval) {
     let user = |value| Property::new(value, PropertySource::User);
     let density = material.density.value.best;
     if density >= effective.high {
-        let share = |x: f64| x / density;
-        material.fill_factor =
-            user(Interval::new(share(effective.best), share(effective.low), share(effective.high)));
+        material.fill_factor = user(mapped(effective, |x| x / density));
         material.density.value = Interval::exact(density);
     } else {
         material.density = user(effective);
@@ -339,11 +313,8 @@ fn weigh(material: &mut Material, effective: Interval) {
 
 fn unknown_key(key: &str, given: String) -> InputError {
     let keys: Vec<&str> = Overrides::keys().collect();
-    InputError::new(
-        format!("there is no property `{key}`"),
-        given,
-        format!("use one of: {}", keys.join(", ")),
-    )
+    let cure = format!("use one of: {}", keys.join(", "));
+    InputError::new(format!("there is no property `{key}`"), given, cure)
 }
 
 fn checked(name: &str, key: &str, value: OverrideValue, most: f64) -> Result<(), InputError> {

@@ -151,15 +151,9 @@ impl MaterialTable {
     /// [`CoreError::Input`] naming the file and the invalid value.
     pub fn read(path: &Path) -> Result<Self, CoreError> {
         let table: Self = atomic::read_toml(path)?;
-        match table.fault() {
-            None => Ok(table),
-            Some(what) => Err(InputError::new(
-                what,
-                path,
-                "write [best, low, high] with low ≤ best ≤ high, in SI units",
-            )
-            .into()),
-        }
+        let Some(what) = table.fault() else { return Ok(table) };
+        let cure = "write [best, low, high] with low ≤ best ≤ high, in SI units";
+        Err(InputError::new(what, path, cure).into())
     }
 
     /// Returns the names of the classes.
@@ -170,12 +164,6 @@ impl MaterialTable {
     /// Returns a class as a material.
     pub fn class(&self, name: &str) -> Option<Material> {
         self.class.get(name).map(|c| c.material(name, PropertySource::Table))
-    }
-
-    /// Returns the publications behind the values of a class.
-    pub fn sources(&self, class: &str) -> Vec<&str> {
-        let keys = self.class.get(class).map_or(&[][..], |c| &c.sources);
-        keys.iter().filter_map(|k| self.source.get(k)).map(String::as_str).collect()
     }
 
     /// Returns the class that a text names, or names by a synonym; the longest word counts.
@@ -192,10 +180,6 @@ impl MaterialTable {
 
     /// Looks up the words of a name or description: the entry with the longest matching word or phrase, else a named class
     /// ("ceramic mug" has both; the object entry has more detail). The fill factor is over the outer volume.
-    pub fn by_words(&self, text: &str) -> Option<Material> {
-        self.known(text).map(|k| k.material)
-    }
-
     pub(crate) fn known(&self, text: &str) -> Option<KnownObjectMaterial> {
         let words = normalised(text);
         let holds = |word: &str| words.contains(&normalised(word));
@@ -203,10 +187,9 @@ impl MaterialTable {
             .object
             .iter()
             .filter_map(|o| o.words.iter().filter(|w| holds(w)).map(String::len).max().map(|n| (n, o)))
-            .max_by_key(|(n, _)| *n)
-            .map(|(_, o)| o);
+            .max_by_key(|(n, _)| *n);
         let named_class = self.class_of(text);
-        let Some(object) = object else {
+        let Some((_, object)) = object else {
             let plain = |material| KnownObjectMaterial { material, walls_m: None, form: CavityKind::Plain };
             return self.class(named_class?).map(plain);
         };
@@ -312,12 +295,7 @@ pub(crate) fn fill_of_another(fill: &Property, usual: &Material, other: &Materia
 fn normalised(text: &str) -> String {
     let words: String =
         text.chars().map(|c| if c.is_alphanumeric() { c.to_ascii_lowercase() } else { ' ' }).collect();
-    let mut out = String::from(" ");
-    for word in words.split_whitespace() {
-        out.push_str(word);
-        out.push(' ');
-    }
-    out
+    words.split_whitespace().fold(" ".to_owned(), |out, word| out + word + " ")
 }
 
 #[cfg(test)]
@@ -329,16 +307,15 @@ mod tests {
         let table = MaterialTable::builtin();
         assert_eq!(table.fault(), None);
         assert!(table.classes().count() >= 15);
-        assert!(!table.sources("phenolic_resin").is_empty());
-        assert!(table.sources("no such class").is_empty());
     }
 
     #[test]
     fn words_find_the_most_specific_entry() {
         let table = MaterialTable::builtin();
+        let by_words = |text: &str| table.known(text).map(|k| k.material);
         // Class, and mass per outer volume: density × fill factor.
         let class = |text: &str| {
-            table.by_words(text).map(|m| (m.class.clone(), (m.effective_density() / 10.0).round() * 10.0))
+            by_words(text).map(|m| (m.class.clone(), (m.effective_density() / 10.0).round() * 10.0))
         };
         assert_eq!(class("white cue_ball"), Some(("phenolic_resin".into(), 1700.0)));
         assert_eq!(class("Soccer Ball"), Some(("rubber".into(), 80.0)));
@@ -348,7 +325,7 @@ mod tests {
         assert_eq!(class("cracker box"), Some(("cardboard".into(), 110.0)));
         assert_eq!(class("candle"), None, "`can` is no part of `candle`");
         assert_eq!(class("object_07"), None);
-        let bottle = table.by_words("steel bottle").unwrap();
+        let bottle = by_words("steel bottle").unwrap();
         assert_eq!(
             (bottle.class.as_str(), bottle.density.value.best),
             ("steel", 7850.0),
@@ -356,7 +333,7 @@ mod tests {
         );
         let effective = bottle.effective_density();
         assert!((300.0..900.0).contains(&effective), "a steel bottle is hollow all the same: {effective}");
-        let plastic = table.by_words("plastic mug").unwrap();
+        let plastic = by_words("plastic mug").unwrap();
         assert_eq!(plastic.fill_factor.value.best, 0.375, "a lighter mug has walls as thick");
         assert_eq!(class("porcelain plate").unwrap().0, "ceramic");
         assert_eq!(table.class_of("brushed stainless steel"), Some("steel"));
@@ -366,7 +343,7 @@ mod tests {
     #[test]
     fn the_floor_has_the_papers_values_and_priors_are_wide() {
         let table = MaterialTable::builtin();
-        let floor = table.by_words("floor").unwrap();
+        let floor = table.known("floor").unwrap().material;
         assert_eq!((floor.friction.value.best, floor.restitution.value.best), (0.66, 0.6));
         for is_sphere in [false, true] {
             let prior = table.prior(is_sphere);

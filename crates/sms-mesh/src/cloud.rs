@@ -100,15 +100,12 @@ pub fn smooth_normals(cloud: &mut PointCloud, radius: f64) {
 /// Drops points that have hardly any neighbours.
 pub fn drop_strays(cloud: &mut PointCloud, spacing: f64) {
     let grid = PointGrid::new(&cloud.points_w, 3.0 * spacing);
-    let keep: Vec<bool> = cloud
-        .points_w
-        .iter()
-        .map(|&p| {
-            let mut near = 0;
-            grid.for_each_within(p, 3.0 * spacing, |_, _| near += 1);
-            near >= 5
-        })
-        .collect();
+    let has_neighbors = |&p: &DVec3| {
+        let mut near = 0;
+        grid.for_each_within(p, 3.0 * spacing, |_, _| near += 1);
+        near >= 5
+    };
+    let keep: Vec<bool> = cloud.points_w.iter().map(has_neighbors).collect();
     retain(cloud, &keep);
 }
 

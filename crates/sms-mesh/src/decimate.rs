@@ -106,7 +106,6 @@ struct Collapser {
     quadrics: Vec<Quadric>,
     stamps: Vec<u32>,
     heap: BinaryHeap<EdgeCollapse>,
-    around: (Vec<u32>, Vec<u32>),
 }
 
 /// Collapses edges, cheapest first, until `budget` faces are left or the next collapse would move the surface by more
@@ -162,7 +161,6 @@ impl Collapser {
             alive: vec![true; mesh.triangles.len()],
             stamps: vec![0; points.len()],
             heap: BinaryHeap::with_capacity(mesh.triangles.len() * 3),
-            around: (Vec::new(), Vec::new()),
             triangles: mesh.triangles.clone(),
             points,
             faces_of,
@@ -198,25 +196,21 @@ impl Collapser {
     }
 
     /// Neighbours of a vertex, sorted.
-    fn neighbors(&self, v: u32, out: &mut Vec<u32>) {
-        out.clear();
-        for &t in &self.faces_of[v as usize] {
-            out.extend(self.triangles[t as usize].iter().filter(|&&w| w != v));
-        }
-        out.sort_unstable();
-        out.dedup();
+    fn neighbors(&self, v: u32) -> Vec<u32> {
+        let corners = self.faces_of[v as usize].iter().flat_map(|&t| self.triangles[t as usize]);
+        let mut near: Vec<u32> = corners.filter(|&w| w != v).collect();
+        near.sort_unstable();
+        near.dedup();
+        near
     }
 
-    fn may_collapse(&mut self, a: u32, b: u32, to: DVec3) -> bool {
-        let (mut near_a, mut near_b) = std::mem::take(&mut self.around);
-        self.neighbors(a, &mut near_a);
-        self.neighbors(b, &mut near_b);
+    fn may_collapse(&self, a: u32, b: u32, to: DVec3) -> bool {
+        let (near_a, near_b) = (self.neighbors(a), self.neighbors(b));
         let common = near_a.iter().filter(|v| near_b.binary_search(v).is_ok()).count();
         let shared =
             self.faces_of[a as usize].iter().filter(|&&t| self.triangles[t as usize].contains(&b)).count();
         // With fewer than four other neighbours, the two sheets of a flat sliver would merge.
         let room = near_a.len() + near_b.len() >= 7;
-        self.around = (near_a, near_b);
         if common != 2 || shared != 2 || !room {
             return false;
         }
@@ -261,12 +255,9 @@ impl Collapser {
         self.quadrics[a as usize] = quadric;
         self.stamps[a as usize] += 1;
         self.stamps[b as usize] += 1;
-        let mut near = std::mem::take(&mut self.around.0);
-        self.neighbors(a, &mut near);
-        for &v in &near {
+        for v in self.neighbors(a) {
             self.offer(a, v);
         }
-        self.around.0 = near;
     }
 }
 

@@ -1,11 +1,8 @@
 //! Convex hulls with exact predicates and a vertex limit.
 
-use crate::predicates::{collinear, orient};
+use crate::predicates::{ACROSS, FACES, collinear, orient};
 use glamx::DVec3;
 use sms_core::Mesh;
-
-/// Corners of the four faces of a positively oriented tetrahedron, counter-clockwise from outside.
-const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
 struct GrowingFace {
     corners: [u32; 3],
@@ -15,6 +12,12 @@ struct GrowingFace {
     /// Points that see the face, with the farthest of them.
     outside: Vec<u32>,
     farthest: (f64, u32),
+}
+
+impl GrowingFace {
+    fn new(corners: [u32; 3], across: [u32; 3]) -> Self {
+        Self { corners, across, alive: true, outside: Vec::new(), farthest: (0.0, 0) }
+    }
 }
 
 /// Returns the convex hull of `points` as a closed mesh: quickhull (Barber, Dobkin and Huhdanpaa 1996), which always
@@ -29,23 +32,8 @@ struct GrowingFace {
 /// ```
 pub fn convex_hull(points: &[DVec3], max_vertices: usize, tolerance: f64) -> Option<Mesh> {
     let seed = extreme_simplex(points)?;
-    let mut hull = Hull { points, faces: Vec::new() };
-    for i in 0..4 {
-        hull.faces.push(GrowingFace {
-            corners: FACES[i].map(|k| seed[k]),
-            across: [NO_FACE; 3],
-            alive: true,
-            outside: Vec::new(),
-            farthest: (0.0, 0),
-        });
-    }
-    for f in 0..4u32 {
-        for k in 0..3 {
-            let (a, b) = hull.edge(f, k);
-            hull.faces[f as usize].across[k] =
-                (0..4u32).find(|&g| (0..3).any(|m| hull.edge(g, m) == (b, a))).unwrap_or(NO_FACE);
-        }
-    }
+    let faces = (0..4).map(|f| GrowingFace::new(FACES[f].map(|k| seed[k]), ACROSS[f])).collect();
+    let mut hull = Hull { points, faces };
     let all: Vec<u32> = (0..points.len() as u32).filter(|i| !seed.contains(i)).collect();
     hull.assign(&all, &[0, 1, 2, 3]);
     let mut vertices = 4;
@@ -103,17 +91,10 @@ impl Hull<'_> {
         (corners[k], corners[(k + 1) % 3])
     }
 
-    fn sees(&self, point: u32, face: u32) -> bool {
+    /// Returns a positive value for a point in front of a face, and zero for a point in its plane.
+    fn side(&self, point: u32, face: u32) -> f64 {
         let [a, b, c] = self.faces[face as usize].corners.map(|i| self.points[i as usize]);
-        orient(a, b, c, self.points[point as usize]) > 0.0
-    }
-
-    /// Returns whether a point lies in front of a face or in its plane. A face in the plane of the new point is also
-    /// replaced. Otherwise an edge in line with the point could create a face without area, which no point sees and
-    /// which would remain.
-    fn sees_or_continues(&self, point: u32, face: u32) -> bool {
-        let [a, b, c] = self.faces[face as usize].corners.map(|i| self.points[i as usize]);
-        orient(a, b, c, self.points[point as usize]) >= 0.0
+        orient(a, b, c, self.points[point as usize])
     }
 
     /// Assigns each point to the face of `faces` that it is farthest above. Points that see no face are inside.
@@ -121,7 +102,7 @@ impl Hull<'_> {
         for &p in points {
             let at = self.points[p as usize];
             let mut highest: Option<(f64, u32)> = None;
-            for &f in faces.iter().filter(|&&f| self.sees(p, f)) {
+            for &f in faces.iter().filter(|&&f| self.side(p, f) > 0.0) {
                 let [a, b, c] = self.faces[f as usize].corners.map(|i| self.points[i as usize]);
                 let normal = (b - a).cross(c - a).normalize_or_zero();
                 let distance = normal.dot(at - a).max(f64::MIN_POSITIVE);
@@ -151,7 +132,9 @@ impl Hull<'_> {
                 if is_visible.contains(&g) {
                     continue;
                 }
-                if self.sees_or_continues(point, g) {
+                // A face in the plane of the point is also replaced. Otherwise an edge in line with the point could
+                // create a face without area, which no point sees and which would remain.
+                if self.side(point, g) >= 0.0 {
                     is_visible.insert(g);
                     visible.push(g);
                 } else {
@@ -161,13 +144,9 @@ impl Hull<'_> {
         }
         let base = self.faces.len() as u32;
         // Around the horizon, each new face follows the face whose edge ends where its own edge begins.
-        let mut starts = std::collections::BTreeMap::new();
-        for (n, &(f, k, _)) in horizon.iter().enumerate() {
-            starts.insert(self.edge(f, k).0, base + n as u32);
-        }
-        let mut fresh = Vec::with_capacity(horizon.len());
-        for (n, &(f, k, g)) in horizon.iter().enumerate() {
-            let id = base + n as u32;
+        let starts: std::collections::BTreeMap<u32, u32> =
+            horizon.iter().zip(base..).map(|(&(f, k, _), id)| (self.edge(f, k).0, id)).collect();
+        for (&(f, k, g), id) in horizon.iter().zip(base..) {
             let (a, b) = self.edge(f, k);
             for m in 0..3 {
                 if self.edge(g, m) == (b, a) {
@@ -175,15 +154,9 @@ impl Hull<'_> {
                 }
             }
             let next = starts.get(&b).copied().unwrap_or(NO_FACE);
-            self.faces.push(GrowingFace {
-                corners: [a, b, point],
-                across: [g, next, NO_FACE],
-                alive: true,
-                outside: Vec::new(),
-                farthest: (0.0, 0),
-            });
-            fresh.push(id);
+            self.faces.push(GrowingFace::new([a, b, point], [g, next, NO_FACE]));
         }
+        let fresh: Vec<u32> = (base..self.faces.len() as u32).collect();
         for &id in &fresh {
             let next = self.faces[id as usize].across[1];
             self.faces[next as usize].across[2] = id;

@@ -39,6 +39,7 @@ mod smooth;
 mod statistics;
 pub mod tetra;
 mod tsdf;
+mod union_find;
 
 pub use clip::clip;
 pub use convex::{ConvexConfig, convex_parts, convex_parts_cached};

@@ -54,13 +54,15 @@ pub fn outline_of(points: impl Iterator<Item = DVec3>) -> Vec<DVec2> {
     convex_outline(&points.map(DVec3::truncate).collect::<Vec<_>>())
 }
 
+/// Returns the ends of each side of an outline.
+pub fn sides<P: Copy>(outline: &[P]) -> impl Iterator<Item = (P, P)> {
+    (0..outline.len()).map(move |i| (outline[i], outline[(i + 1) % outline.len()]))
+}
+
 /// Returns whether a point lies within an outline, or at most `margin` (metres) outside one of its sides.
 pub fn is_within(outline: &[DVec2], p: DVec2, margin: f64) -> bool {
-    let is_left = |i: usize| {
-        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
-        (b - a).perp_dot(p - a) >= -margin * (b - a).length()
-    };
-    outline.len() >= 3 && (0..outline.len()).all(is_left)
+    let is_left = |(a, b): (DVec2, DVec2)| (b - a).perp_dot(p - a) >= -margin * (b - a).length();
+    outline.len() >= 3 && sides(outline).all(is_left)
 }
 
 /// Returns the smallest width of a convex outline, metres; 0 if it has no area.
@@ -68,27 +70,22 @@ pub fn width(outline: &[DVec2]) -> f64 {
     if outline.len() < 3 {
         return 0.0;
     }
-    let across = |i: usize| {
-        let (start, edge) = (outline[i], outline[(i + 1) % outline.len()] - outline[i]);
-        let far = outline.iter().map(|p| edge.perp_dot(p - start)).fold(0.0, f64::max);
-        far / edge.length()
+    let across = |(a, b): (DVec2, DVec2)| {
+        outline.iter().map(|p| (b - a).perp_dot(p - a)).fold(0.0, f64::max) / (b - a).length()
     };
-    (0..outline.len()).map(across).fold(f64::INFINITY, f64::min)
+    sides(outline).map(across).fold(f64::INFINITY, f64::min)
 }
 
 /// Returns the area of a convex outline, square metres.
 pub fn area(outline: &[DVec2]) -> f64 {
-    (0..outline.len()).map(|i| 0.5 * outline[i].perp_dot(outline[(i + 1) % outline.len()])).sum()
+    sides(outline).map(|(a, b)| 0.5 * a.perp_dot(b)).sum()
 }
 
 /// Returns whether two convex outlines have a point in common. Outlines of one or two corners count as points and
 /// lines.
 pub fn meet(a: &[DVec2], b: &[DVec2]) -> bool {
     let parted_by = |p: &[DVec2], q: &[DVec2]| {
-        (0..p.len()).any(|i| {
-            let (start, edge) = (p[i], p[(i + 1) % p.len()] - p[i]);
-            edge != DVec2::ZERO && q.iter().all(|v| edge.perp_dot(v - start) < 0.0)
-        })
+        sides(p).any(|(a, b)| b - a != DVec2::ZERO && q.iter().all(|v| (b - a).perp_dot(v - a) < 0.0))
     };
     !a.is_empty() && !b.is_empty() && !parted_by(a, b) && !parted_by(b, a)
 }
@@ -101,12 +98,10 @@ pub fn common(a: &[DVec2], b: &[DVec2]) -> Vec<DVec2> {
 /// Returns the part of a convex outline, a line or a point within a convex `window` (Sutherland and Hodgman 1974).
 pub fn clipped(subject: &[DVec2], window: &[DVec2]) -> Vec<DVec2> {
     let mut left = subject.to_vec();
-    for i in 0..window.len() {
-        let (start, edge) = (window[i], window[(i + 1) % window.len()] - window[i]);
-        let side = |p: DVec2| edge.perp_dot(p - start);
+    for (a, b) in sides(window) {
+        let side = |p: DVec2| (b - a).perp_dot(p - a);
         let mut cut = Vec::with_capacity(left.len() + 1);
-        for j in 0..left.len() {
-            let (p, q) = (left[j], left[(j + 1) % left.len()]);
+        for (p, q) in sides(&left) {
             let (sp, sq) = (side(p), side(q));
             if sp >= 0.0 {
                 cut.push(p);
@@ -139,10 +134,7 @@ pub fn outline_on_plane(points: &[DVec3], plane: &Plane, band: f64, margin: f64)
 
 /// Returns whether `p` lies above the convex outline, seen along the plane's normal.
 pub fn is_over(outline: &[DVec3], plane: &Plane, p: DVec3) -> bool {
-    (0..outline.len()).all(|i| {
-        let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
-        (b - a).cross(p - a).dot(plane.normal) >= 0.0
-    })
+    sides(outline).all(|(a, b)| (b - a).cross(p - a).dot(plane.normal) >= 0.0)
 }
 
 #[cfg(test)]

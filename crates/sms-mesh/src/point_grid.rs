@@ -54,26 +54,23 @@ impl<'a> PointGrid<'a> {
         (c[2] * self.size[1] + c[1]) * self.size[0] + c[0]
     }
 
-    /// Calls `visit(index, squared distance)` for every point within `radius`, cell by cell.
-    pub fn for_each_within(&self, p: DVec3, radius: f64, mut visit: impl FnMut(usize, f64)) {
-        if self.points.is_empty() {
-            return;
-        }
+    /// Iterates over index and squared distance of the points within `radius`, cell by cell.
+    fn iter_within(&self, p: DVec3, radius: f64) -> impl Iterator<Item = (usize, f64)> {
         let low = self.coordinates(p - DVec3::splat(radius));
         let high = self.coordinates(p + DVec3::splat(radius));
         let limit = radius * radius;
-        for z in low[2]..=high[2] {
-            for y in low[1]..=high[1] {
-                let row = self.index([0, y, z]);
-                let range = self.starts[row + low[0]] as usize..self.starts[row + high[0] + 1] as usize;
-                for &i in &self.order[range] {
-                    let d = self.points[i as usize].distance_squared(p);
-                    if d <= limit {
-                        visit(i as usize, d);
-                    }
-                }
-            }
-        }
+        let rows = (low[2]..=high[2]).flat_map(move |z| (low[1]..=high[1]).map(move |y| [0, y, z]));
+        rows.flat_map(move |row| {
+            let row = self.index(row);
+            &self.order[self.starts[row + low[0]] as usize..self.starts[row + high[0] + 1] as usize]
+        })
+        .map(move |&i| (i as usize, self.points[i as usize].distance_squared(p)))
+        .filter(move |&(_, d)| d <= limit)
+    }
+
+    /// Calls `visit(index, squared distance)` for every point within `radius`, cell by cell.
+    pub fn for_each_within(&self, p: DVec3, radius: f64, mut visit: impl FnMut(usize, f64)) {
+        self.iter_within(p, radius).for_each(|(i, d)| visit(i, d));
     }
 
     /// Returns `(squared distance, index)` of the points within `radius`, nearest first.
@@ -86,30 +83,15 @@ impl<'a> PointGrid<'a> {
 
     /// Returns whether any point is within `radius`.
     pub fn is_near(&self, p: DVec3, radius: f64) -> bool {
-        if self.points.is_empty() {
-            return false;
-        }
-        let low = self.coordinates(p - DVec3::splat(radius));
-        let high = self.coordinates(p + DVec3::splat(radius));
-        (low[2]..=high[2]).any(|z| {
-            (low[1]..=high[1]).any(|y| {
-                let row = self.index([0, y, z]);
-                let range = self.starts[row + low[0]] as usize..self.starts[row + high[0] + 1] as usize;
-                self.order[range]
-                    .iter()
-                    .any(|&i| self.points[i as usize].distance_squared(p) <= radius * radius)
-            })
-        })
+        self.iter_within(p, radius).next().is_some()
     }
 
     /// Returns an upper bound of the distance to any point.
     fn reach(&self, p: DVec3) -> f64 {
-        (0..3)
-            .map(|a| {
-                (p[a] - self.min[a]).abs().max((p[a] - self.min[a] - self.size[a] as f64 * self.cell).abs())
-            })
-            .fold(0.0, f64::max)
-            * 2.0
+        let sides = (0..3).map(|a| {
+            (p[a] - self.min[a]).abs().max((p[a] - self.min[a] - self.size[a] as f64 * self.cell).abs())
+        });
+        sides.fold(0.0, f64::max) * 2.0
     }
 
     /// Returns the `k` nearest points, nearest first, or all if there are fewer.

@@ -3,6 +3,11 @@
 use glamx::DVec3;
 use robust::Coord3D;
 
+/// Corners of the face opposite each corner of a tetrahedron, counter-clockwise seen from outside it.
+pub const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+/// The face across the edge from corner `k` to corner `k + 1` of each of these faces.
+pub(crate) const ACROSS: [[u32; 3]; 4] = [[3, 1, 2], [2, 0, 3], [3, 0, 1], [1, 0, 2]];
+
 fn coord(p: DVec3) -> Coord3D<f64> {
     Coord3D { x: p.x, y: p.y, z: p.z }
 }
@@ -32,6 +37,17 @@ pub(crate) fn in_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn faces_across_an_edge_share_its_ends() {
+        for (face, across) in FACES.iter().zip(ACROSS) {
+            for k in 0..3 {
+                let other = FACES[across[k] as usize];
+                let ends = [face[(k + 1) % 3], face[k]];
+                assert!((0..3).any(|m| [other[m], other[(m + 1) % 3]] == ends), "{face:?} {k}");
+            }
+        }
+    }
 
     #[test]
     fn signs_are_as_documented() {

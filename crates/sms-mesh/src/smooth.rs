@@ -48,17 +48,22 @@ pub fn simplify(mesh: &Mesh, target: usize, max_error: f64) -> Mesh {
         let apart = DVec3::splat(1e-6 * f64::from(twins));
         positions[i] = (mesh.vertices[i] + apart - bounds.center()).as_vec3().to_array();
     }
-    let indices: Vec<u32> = mesh.triangles.iter().flatten().copied().collect();
-    let kept = meshopt::simplify_decoder(
-        &indices,
-        &positions,
-        target * 3,
-        max_error as f32,
-        meshopt::SimplifyOptions::ErrorAbsolute,
-        None,
-    );
-    let triangles = kept.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+    let triangles = collapsed(&mesh.triangles, &positions, target, max_error);
     Mesh { vertices: mesh.vertices.clone(), triangles, colors: mesh.colors.clone() }.compacted()
+}
+
+/// Returns the triangles left by quadric collapses (crate `meshopt`) down to `target` faces that move the surface by at
+/// most `max_error`.
+pub(crate) fn collapsed(
+    triangles: &[[u32; 3]],
+    positions: &[[f32; 3]],
+    target: usize,
+    max_error: f64,
+) -> Vec<[u32; 3]> {
+    let options = meshopt::SimplifyOptions::ErrorAbsolute;
+    let (indices, error) = (triangles.as_flattened(), max_error as f32);
+    let kept = meshopt::simplify_decoder(indices, positions, target * 3, error, options, None);
+    kept.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect()
 }
 
 /// Returns, per vertex, the colour of the nearest cloud point.

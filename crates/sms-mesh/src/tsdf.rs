@@ -62,11 +62,7 @@ impl Tsdf {
                     continue;
                 }
                 for corner in 0..8 {
-                    let offset = DVec3::new(
-                        f64::from(corner & 1) * 2.0 - 1.0,
-                        f64::from(corner >> 1 & 1) * 2.0 - 1.0,
-                        f64::from(corner >> 2) * 2.0 - 1.0,
-                    );
+                    let offset = DVec3::from_array([0, 1, 2].map(|a| f64::from(corner >> a & 1) * 2.0 - 1.0));
                     let at = ((p + offset * 2.0 * voxel) / size).floor().to_array().map(|v| v as i32);
                     index.entry(at).or_insert(0usize);
                 }
@@ -182,7 +178,7 @@ fn integrate(block: &mut VoxelBlock, frames: &[TsdfFrame], voxel: f64) {
         // Before the division, camera coordinates are affine in the voxel indices.
         let x_cw = camera.x_wc.inverse();
         let origin = x_cw.transform_point(base);
-        let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|a| x_cw.rotation * a * voxel);
+        let axes = DVec3::AXES.map(|a| x_cw.rotation * a * voxel);
         for i in 0..COUNT {
             let (x, y, zz) = (i as i32 % SIDE, i as i32 / SIDE % SIDE, i as i32 / (SIDE * SIDE));
             let p = origin + axes[0] * f64::from(x) + axes[1] * f64::from(y) + axes[2] * f64::from(zz);

@@ -43,14 +43,11 @@ impl Cap {
     }
 
     /// Splits the cap by a plane. The parts below and above are added to `sides`, and the edges that the lower side
-    /// gains in the plane to `outline`. Points within `hair` of the plane count as in the plane.
-    pub(crate) fn split(&self, plane: Plane, hair: f64, sides: [&mut Vec<Cap>; 2], outline: &mut Vec<Edge>) {
+    /// gains in the plane to `outline`.
+    pub(crate) fn split(&self, plane: Plane, sides: [&mut Vec<Cap>; 2], outline: &mut Vec<Edge>) {
         let mut halves = [(); 2].map(|()| Half::default());
         for e in &self.edges {
-            let [sa, sb] = e.ends.map(|p| {
-                let h = plane.height(p);
-                i8::from(h > hair) - i8::from(h < -hair)
-            });
+            let [sa, sb] = e.ends.map(|p| side_of(plane, p));
             if sa * sb < 0 {
                 let cut = between(e.ends[0], e.ends[1], plane);
                 let first = usize::from(sa > 0);
@@ -142,6 +139,13 @@ pub(crate) fn tidy(mut edges: Vec<Edge>) -> Vec<Edge> {
     }
     out.retain(|e| e.weight != 0);
     out
+}
+
+/// Returns −1 for a point below a plane, 1 for a point above it, and 0 within a hair of it.
+pub(crate) fn side_of(plane: Plane, p: DVec3) -> i8 {
+    const HAIR: f64 = 1e-9;
+    let h = plane.height(p);
+    i8::from(h > HAIR) - i8::from(h < -HAIR)
 }
 
 /// Returns the point where an edge crosses a plane; bitwise equal for both orders of its ends.

@@ -1,9 +1,9 @@
 //! Merges parts where cuts were unnecessary, and to meet the part budget.
 
-use crate::convex::parts::{HullPart, Tolerance, rv};
+use crate::convex::parts::HullPart;
 use crate::convex::piece::SLIGHT;
-use crate::convex::search::HullBuffers;
-use crate::convex::solid::Solid;
+use crate::convex::solid::{Decomposition, rv};
+use crate::convex::sweep::GrowingHull;
 use crate::convex::work::Work;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -20,17 +20,13 @@ struct Union {
     allowed: Option<bool>,
 }
 
-fn union(a: &HullPart, b: &HullPart, gap: f64, scratch: &mut HullBuffers) -> Option<Union> {
+fn union(a: &HullPart, b: &HullPart, gap: f64, hull: &mut GrowingHull) -> Option<Union> {
     let apart = (a.min - b.max).max(b.min - a.max).max_element();
     if apart > gap {
         return None;
     }
-    scratch.hull.clear(SLIGHT);
-    for &p in a.points.iter().chain(&b.points) {
-        scratch.hull.push(p);
-    }
-    let hull_volume = scratch.hull.volume();
-    let part = HullPart::new(scratch.hull.vertices(), a.volume + b.volume, hull_volume)?;
+    let hull_volume = hull.refill(SLIGHT, a.points.iter().chain(&b.points));
+    let part = HullPart::new(hull.vertices(), a.volume + b.volume, hull_volume)?;
     Some(Union { part, added: hull_volume - a.hull_volume - b.hull_volume, allowed: None })
 }
 
@@ -38,11 +34,9 @@ fn union(a: &HullPart, b: &HullPart, gap: f64, scratch: &mut HullBuffers) -> Opt
 /// `most_added` are made, and more while there are more than `max_parts`.
 pub(crate) fn merge(
     parts: Vec<HullPart>,
-    solid: &Solid,
-    tolerance: Tolerance,
+    task: Decomposition,
     max_parts: usize,
     most_added: f64,
-    work: &Work,
 ) -> Vec<HullPart> {
     let mut alive: BTreeMap<usize, HullPart> = parts.into_iter().enumerate().collect();
     let mut unions: BTreeMap<(usize, usize), Union> = BTreeMap::new();
@@ -54,27 +48,27 @@ pub(crate) fn merge(
             fresh.iter().flat_map(|&b| ids.iter().filter(move |&&a| a < b).map(move |&a| (a, b))).collect();
         let found: Vec<Option<Union>> = pairs
             .par_iter()
-            .map_init(HullBuffers::default, |scratch, &(a, b)| {
-                let union = union(&alive[&a], &alive[&b], tolerance.threshold, scratch);
-                work.add(1 + scratch.hull.take_steps());
+            .map_init(GrowingHull::default, |hull, &(a, b)| {
+                let union = union(&alive[&a], &alive[&b], task.threshold, hull);
+                task.work.add(1 + hull.take_steps());
                 union
             })
             .collect();
         unions.extend(pairs.into_iter().zip(found).filter_map(|(k, u)| Some((k, u?))));
-        fresh.clear();
         let forced = alive.len() > max_parts;
-        let Some(key) =
-            best(&mut unions, solid, tolerance, if forced { None } else { Some(most_added) }, work)
-        else {
-            if !forced {
-                break;
-            }
+        let key = match best(&mut unions, task, (!forced).then_some(most_added)) {
             // The remaining parts do not touch: only unions across gaps can meet the budget.
-            let Some(key) = across_gap(&alive, &mut unions, work) else { break };
-            join(&mut alive, &mut unions, key, &mut next_id, &mut fresh);
-            continue;
+            None if forced => across_gap(&alive, &mut unions, task.work),
+            key => key,
         };
-        join(&mut alive, &mut unions, key, &mut next_id, &mut fresh);
+        let Some((a, b)) = key else { break };
+        let Some(union) = unions.remove(&(a, b)) else { break };
+        unions.retain(|&(i, j), _| i != a && i != b && j != a && j != b);
+        alive.remove(&a);
+        alive.remove(&b);
+        alive.insert(next_id, union.part);
+        fresh = vec![next_id];
+        next_id += 1;
     }
     drop_slivers(alive)
 }
@@ -85,7 +79,7 @@ fn drop_slivers(mut alive: BTreeMap<usize, HullPart>) -> Vec<HullPart> {
     let total: f64 = alive.values().map(|p| p.hull_volume).sum();
     let slivers: Vec<usize> =
         alive.iter().filter(|(_, p)| p.hull_volume < SLIVER * total).map(|(&k, _)| k).collect();
-    let mut scratch = HullBuffers::default();
+    let mut hull = GrowingHull::default();
     for id in slivers {
         if alive.len() < 2 {
             break;
@@ -93,7 +87,7 @@ fn drop_slivers(mut alive: BTreeMap<usize, HullPart>) -> Vec<HullPart> {
         let Some(sliver) = alive.remove(&id) else { continue };
         let best = alive
             .iter()
-            .filter_map(|(&k, p)| Some((k, union(p, &sliver, 0.02, &mut scratch)?)))
+            .filter_map(|(&k, p)| Some((k, union(p, &sliver, 0.02, &mut hull)?)))
             .min_by(|a, b| a.1.added.total_cmp(&b.1.added).then(a.0.cmp(&b.0)));
         if let Some((k, union)) = best
             && union.added < SLIVER * total
@@ -104,53 +98,27 @@ fn drop_slivers(mut alive: BTreeMap<usize, HullPart>) -> Vec<HullPart> {
     alive.into_values().collect()
 }
 
-fn join(
-    alive: &mut BTreeMap<usize, HullPart>,
-    unions: &mut BTreeMap<(usize, usize), Union>,
-    (a, b): (usize, usize),
-    next_id: &mut usize,
-    fresh: &mut Vec<usize>,
-) {
-    let Some(union) = unions.remove(&(a, b)) else { return };
-    unions.retain(|&(i, j), _| i != a && i != b && j != a && j != b);
-    alive.remove(&a);
-    alive.remove(&b);
-    alive.insert(*next_id, union.part);
-    fresh.push(*next_id);
-    *next_id += 1;
-}
-
 /// Returns the union that adds the least volume. With `most_added`, only unions within the threshold that add at most
 /// this volume count.
 fn best(
     unions: &mut BTreeMap<(usize, usize), Union>,
-    solid: &Solid,
-    tolerance: Tolerance,
+    task: Decomposition,
     most_added: Option<f64>,
-    work: &Work,
 ) -> Option<(usize, usize)> {
-    let mut scratch = HullBuffers::default();
+    let mut hull = GrowingHull::default();
     loop {
         let (key, union) = unions
             .iter_mut()
             .filter(|(_, u)| most_added.is_none_or(|most| u.allowed != Some(false) && u.added <= most))
             .min_by(|a, b| a.1.added.total_cmp(&b.1.added).then(a.0.cmp(b.0)))?;
-        if most_added.is_none() {
-            return Some(*key);
-        }
-        let allowed = *union.allowed.get_or_insert_with(|| {
-            let part = &union.part;
-            rv(part.hull_volume - part.volume) <= tolerance.threshold && {
-                scratch.hull.clear(SLIGHT);
-                for &p in &part.points {
-                    scratch.hull.push(p);
-                }
-                scratch.hull.volume();
-                let enough = tolerance.threshold;
-                solid.reach(scratch.hull.triangles(), tolerance.spacing, enough, work) <= enough
+        let is_allowed = || {
+            let surplus = union.part.hull_volume - union.part.volume;
+            rv(surplus) <= task.threshold && {
+                hull.refill(SLIGHT, &union.part.points);
+                task.is_convex(&hull, surplus, 1.0)
             }
-        });
-        if allowed {
+        };
+        if most_added.is_none() || *union.allowed.get_or_insert_with(is_allowed) {
             return Some(*key);
         }
     }
@@ -161,14 +129,14 @@ fn across_gap(
     unions: &mut BTreeMap<(usize, usize), Union>,
     work: &Work,
 ) -> Option<(usize, usize)> {
-    let mut scratch = HullBuffers::default();
+    let mut hull = GrowingHull::default();
     for (&a, pa) in alive {
         for (&b, pb) in alive.range(a + 1..) {
-            if let Some(u) = union(pa, pb, f64::INFINITY, &mut scratch) {
+            if let Some(u) = union(pa, pb, f64::INFINITY, &mut hull) {
                 unions.entry((a, b)).or_insert(u);
             }
         }
     }
-    work.add(scratch.hull.take_steps());
+    work.add(hull.take_steps());
     unions.iter().min_by(|a, b| a.1.added.total_cmp(&b.1.added).then(a.0.cmp(b.0))).map(|(k, _)| *k)
 }

@@ -106,11 +106,8 @@ impl InsideVoxels {
         if q.min_element() < 0.0 {
             return false;
         }
-        let [x, y, z] = q.to_array().map(|v| v as usize);
-        x < self.size[0]
-            && y < self.size[1]
-            && z < self.size[2]
-            && self.inside[(z * self.size[1] + y) * self.size[0] + x]
+        let ([x, y, z], [nx, ny, nz]) = (q.to_array().map(|v| v as usize), self.size);
+        x < nx && y < ny && z < nz && self.inside[(z * ny + y) * nx + x]
     }
 
     /// Returns whether a large part of the solid lies behind inverted faces.

@@ -6,8 +6,8 @@ use crate::convex::piece::Piece;
 use crate::convex::remesh::{MOST_PAIRS, pairs};
 use crate::convex::repair::{TriangleSurface, clean, closed_surface};
 use crate::convex::round::Rounds;
-use crate::convex::search::{Breadth, CutPlanes, HullBuffers, best_cut};
-use crate::convex::solid::Solid;
+use crate::convex::search::{CutPlanes, best_cut};
+use crate::convex::solid::{Decomposition, Solid, rv_volume};
 use crate::convex::sweep::GrowingHull;
 use crate::convex::work::Work;
 use crate::hull::convex_hull;
@@ -19,7 +19,7 @@ use sms_core::{Aabb, Mesh};
 /// Number of faces in the search for cuts.
 const COARSE_FACES: usize = 600;
 
-/// Volume that a result may have more if it has one part less, in units of the volume with [`rv`] at the threshold.
+/// Volume that a result may have more if it has one part less, in units of [`rv_volume`] at the threshold.
 const PART_COST: f64 = 0.25;
 
 /// Upper limit of that volume as a share of all hulls, so that parts follow thin walls.
@@ -67,25 +67,6 @@ impl HullPart {
     }
 }
 
-/// Limits for a convex part.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Tolerance {
-    /// Concavity in half sizes of the object.
-    pub(crate) threshold: f64,
-    /// Distance of the samples on a hull's surface.
-    pub(crate) spacing: f64,
-}
-
-/// Returns CoACD's measure of a surplus volume: 0.3 times the radius of a ball of that volume (its `R_v`, k = 0.3).
-pub(crate) fn rv(surplus: f64) -> f64 {
-    0.3 * (surplus.max(0.0) * 3.0 / (4.0 * std::f64::consts::PI)).cbrt()
-}
-
-/// Returns the volume with [`rv`] equal to `threshold`.
-fn rv_volume(threshold: f64) -> f64 {
-    4.0 / 3.0 * std::f64::consts::PI * (threshold / 0.3).powi(3)
-}
-
 /// Returns convex parts whose union approximates the solid that `mesh` bounds, in the frame of `mesh`. Each part is a
 /// closed hull with positive volume and at most `max_vertices` vertices. A convex object is one part.
 ///
@@ -101,37 +82,28 @@ fn rv_volume(threshold: f64) -> f64 {
 pub fn convex_parts(mesh: &Mesh, config: &ConvexConfig) -> Vec<Mesh> {
     let finite = || mesh.vertices.iter().copied().filter(|p| p.is_finite());
     let Some(bounds) = Aabb::of_points(finite()) else { return Vec::new() };
-    let frame = UnitFrame { center: bounds.center(), half: 0.5 * bounds.extents().max_element() };
-    if !(frame.half > 1e-9 && frame.half < 1e9 && frame.center.length() < 1e9) {
+    // Unit coordinates are relative to the centre, in halves of the longest side.
+    let (center, half) = (bounds.center(), 0.5 * bounds.extents().max_element());
+    if !(half > 1e-9 && half < 1e9 && center.length() < 1e9) {
         return Vec::new();
     }
-    let points: Vec<DVec3> = mesh.vertices.iter().map(|&p| (p - frame.center) / frame.half).collect();
+    let points: Vec<DVec3> = mesh.vertices.iter().map(|&p| (p - center) / half).collect();
     let solid: Vec<DVec3> = points.iter().copied().filter(|p| p.is_finite()).collect();
     if convex_hull(&solid, 4, 0.0).is_none() {
         return Vec::new();
     }
-    let hulls = decompose(&points, &mesh.triangles, config, frame.half, &Work::default())
+    let hulls = decompose(&points, &mesh.triangles, config, half, &Work::default())
         .or_else(|| voxel_parts(&points, &mesh.triangles, config))
         .unwrap_or_default();
     let hull = |points: &[DVec3]| {
         let mut hull = limited_hull(points, config.max_vertices)?;
         for v in &mut hull.vertices {
-            *v = frame.center + *v * frame.half;
+            *v = center + *v * half;
         }
         (hull.volume() > 0.0 && hull.is_closed_oriented()).then_some(hull)
     };
     let parts: Vec<Mesh> = hulls.iter().filter_map(|p| hull(p)).collect();
-    if !parts.is_empty() {
-        return parts;
-    }
-    hull(&solid).into_iter().collect()
-}
-
-/// Transformation from unit coordinates to those of the mesh.
-#[derive(Clone, Copy)]
-struct UnitFrame {
-    center: DVec3,
-    half: f64,
+    if parts.is_empty() { hull(&solid).into_iter().collect() } else { parts }
 }
 
 /// Returns the points of each part's hull, all in unit coordinates (`half` metres per unit). `total` counts the work.
@@ -150,27 +122,18 @@ fn decompose(
         .fold(coarse, |s, share| s.decimated(2 * COARSE_FACES, share * config.threshold));
     let solid = Solid::new(&surface)?;
     let threshold = config.threshold.max(config.floor / half);
-    let tolerance = Tolerance { threshold, spacing: 0.04 };
-    let breadth = Breadth {
-        first: 15,
-        second: 7,
-        candidates: 16,
-        planes: CutPlanes::All,
-        part_cost: 0.05 * rv_volume(tolerance.threshold),
-    };
     // A piece that is convex enough is one part, even if cutting would save volume.
     let work = Work::default();
     let mut hull = GrowingHull::default();
     let hull_volume = whole(&surface).hull_volume(&mut hull);
-    if hull_volume > 0.0
-        && is_convex(&hull, hull_volume - surface.volume(), WHOLE_SHARE, &solid, tolerance, &work)
-    {
+    let task = Decomposition { solid: &solid, threshold, work: &work };
+    if hull_volume > 0.0 && task.is_convex(&hull, hull_volume - surface.volume(), WHOLE_SHARE) {
         return Some(vec![hull.vertices()]);
     }
     let max_parts = config.max_parts.max(1);
     let finish = |open: Vec<[Piece; 2]>, planes: CutPlanes, most_added: f64, work: &Work| {
-        let parts = cut(open, &solid, tolerance, Breadth { planes, ..breadth }, work);
-        let parts = merge(parts, &solid, tolerance, max_parts, most_added, work);
+        let task = Decomposition { work, ..task };
+        let parts = merge(cut(open, planes, task), task, max_parts, most_added);
         total.add(work.steps());
         // Volume missing from a piece's hull counts too.
         let hulls: f64 =
@@ -203,22 +166,13 @@ fn whole(surface: &TriangleSurface) -> Piece {
 }
 
 /// Returns the leaves of the cut trees of the `open` pieces.
-fn cut(
-    mut open: Vec<[Piece; 2]>,
-    solid: &Solid,
-    tolerance: Tolerance,
-    breadth: Breadth,
-    work: &Work,
-) -> Vec<HullPart> {
+fn cut(mut open: Vec<[Piece; 2]>, planes: CutPlanes, task: Decomposition) -> Vec<HullPart> {
     let mut parts: Vec<HullPart> = Vec::new();
     while !open.is_empty() {
-        let spent = work.steps() > MOST_WORK;
+        let spent = task.work.steps() > MOST_WORK;
         let room = if spent { 0 } else { MOST_PIECES.saturating_sub(parts.len() + open.len()) };
-        let cut: Vec<(Option<HullPart>, Vec<[Piece; 2]>)> = open
-            .par_iter()
-            .enumerate()
-            .map(|(i, piece)| examine(piece, solid, tolerance, breadth, i < room, work))
-            .collect();
+        let cut: Vec<(Option<HullPart>, Vec<[Piece; 2]>)> =
+            open.par_iter().enumerate().map(|(i, piece)| examine(piece, planes, i < room, task)).collect();
         open.clear();
         for (part, sides) in cut {
             parts.extend(part);
@@ -228,49 +182,35 @@ fn cut(
     parts
 }
 
-/// Returns whether a hull that adds `surplus` to its piece is within the threshold. The volume may use a `share` of it.
-fn is_convex(
-    hull: &GrowingHull,
-    surplus: f64,
-    share: f64,
-    solid: &Solid,
-    tolerance: Tolerance,
-    work: &Work,
-) -> bool {
-    let enough = tolerance.threshold;
-    rv(surplus) <= share * enough && solid.reach(hull.triangles(), tolerance.spacing, enough, work) <= enough
-}
-
 /// Returns a part if the piece is convex enough, else its two sides.
 fn examine(
     [piece, coarse]: &[Piece; 2],
-    solid: &Solid,
-    tolerance: Tolerance,
-    breadth: Breadth,
+    planes: CutPlanes,
     may_cut: bool,
-    work: &Work,
+    task: Decomposition,
 ) -> (Option<HullPart>, Vec<[Piece; 2]>) {
-    let mut scratch = HullBuffers::default();
-    piece.hull_volume(&mut scratch.hull);
+    let Decomposition { solid, work, .. } = task;
+    let mut hull = GrowingHull::default();
+    piece.hull_volume(&mut hull);
     if piece.cell.len() > 2 {
         // Corners where three cuts meet inside the solid are ends of inner edges of the caps.
         let inner = piece.caps.iter().flat_map(|c| &c.edges).filter(|e| e.is_inner);
         for p in inner.flat_map(|e| e.ends) {
-            if p.abs().max_element() <= 1.0 && scratch.hull.leaves_out(p) && solid.contains(p, work) {
-                scratch.hull.push(p);
+            if p.abs().max_element() <= 1.0 && hull.leaves_out(p) && solid.contains(p, work) {
+                hull.push(p);
             }
         }
     }
-    let hull_volume = scratch.hull.volume();
-    work.add(piece.size() + scratch.hull.take_steps());
+    let hull_volume = hull.volume();
+    work.add(piece.size() + hull.take_steps());
     let volume = piece.volume().max(0.0);
     if hull_volume <= 0.0 || volume < FILM * piece.widest_side() {
         return (None, Vec::new());
     }
-    let convex = || is_convex(&scratch.hull, hull_volume - volume, CUT_SHARE, solid, tolerance, work);
+    let surplus = hull_volume - volume;
     if may_cut
-        && !convex()
-        && let Some(plane) = best_cut(coarse, hull_volume - volume, solid, breadth, work)
+        && !task.is_convex(&hull, surplus, CUT_SHARE)
+        && let Some(plane) = best_cut(coarse, surplus, planes, task)
     {
         work.add(2 * (piece.size() + coarse.size()));
         let inside = |p| solid.contains(p, work);
@@ -279,7 +219,7 @@ fn examine(
         // A block from deep inside has no surface, only spines.
         return (None, sides.filter(|s| s[0].points.len() > 3).collect());
     }
-    (HullPart::new(scratch.hull.vertices(), volume, hull_volume), Vec::new())
+    (HullPart::new(hull.vertices(), volume, hull_volume), Vec::new())
 }
 
 /// Voxels along the longest side for voxel decomposition.

@@ -5,7 +5,7 @@
 //! the lines along which two cuts meet, as far as they run inside the solid. Volumes need the caps
 //! ([`crate::convex::cap`]).
 
-use crate::convex::cap::{Cap, Edge, between, tidy};
+use crate::convex::cap::{Cap, Edge, between, side_of, tidy};
 use crate::convex::sweep::GrowingHull;
 use crate::plane::Plane;
 use glamx::{DMat3, DVec3};
@@ -51,23 +51,24 @@ impl Piece {
         t.map(|i| self.points[i as usize])
     }
 
+    /// Returns the middle of each face, and its normal with a length of twice the area.
+    pub(crate) fn faces(&self) -> impl Iterator<Item = (DVec3, DVec3)> {
+        self.triangles.iter().map(move |t| {
+            let [a, b, c] = self.corners(t);
+            ((a + b + c) / 3.0, (b - a).cross(c - a))
+        })
+    }
+
     /// Returns the volume of the hull of all points. The hull remains in `hull`.
     pub(crate) fn hull_volume(&self, hull: &mut GrowingHull) -> f64 {
-        hull.clear(SLIGHT);
-        for &p in &self.points {
-            hull.push(p);
-        }
-        hull.volume()
+        hull.refill(SLIGHT, &self.points)
     }
 
     /// Returns the edges, each once, as pairs of points.
     pub(crate) fn edges(&self) -> Vec<(u32, u32)> {
-        let mut edges: Vec<(u32, u32)> = self
-            .triangles
-            .iter()
-            .flat_map(|&[a, b, c]| [(a.min(b), a.max(b)), (b.min(c), b.max(c)), (c.min(a), c.max(a))])
-            .chain(self.spines.iter().map(|&[a, b]| (a.min(b), a.max(b))))
-            .collect();
+        let of_faces = self.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+        let all = of_faces.chain(self.spines.iter().copied());
+        let mut edges: Vec<(u32, u32)> = all.map(|[a, b]| (a.min(b), a.max(b))).collect();
         edges.sort_unstable();
         edges.dedup();
         edges
@@ -84,33 +85,18 @@ impl Piece {
             mean += p * area;
             moments += outer(p) * area + (outer(a - p) + outer(b - p) + outer(c - p)) * (area / 12.0);
         }
-        let fallback = [DVec3::X, DVec3::Y, DVec3::Z];
         if weight <= 0.0 {
-            return fallback;
+            return DVec3::AXES;
         }
         mean /= weight;
         let eigen = glamx::DSymmetricEigen3::new(moments * (1.0 / weight) - outer(mean));
         let axes = [eigen.eigenvectors.x_axis, eigen.eigenvectors.y_axis, eigen.eigenvectors.z_axis];
-        if axes.iter().all(|a| a.is_finite() && (a.length() - 1.0).abs() < 1e-3) { axes } else { fallback }
+        if axes.iter().all(|a| a.is_finite() && (a.length() - 1.0).abs() < 1e-3) { axes } else { DVec3::AXES }
     }
 
     /// Returns the sides below and above a plane. Points within a hair of the plane belong to both.
     pub(crate) fn split(&self, plane: Plane, with_caps: bool, inside: &impl Fn(DVec3) -> bool) -> [Piece; 2] {
-        const HAIR: f64 = 1e-9;
-        let side: Vec<i8> = self
-            .points
-            .iter()
-            .map(|&p| {
-                let h = plane.height(p);
-                if h > HAIR {
-                    1
-                } else if h < -HAIR {
-                    -1
-                } else {
-                    0
-                }
-            })
-            .collect();
+        let side: Vec<i8> = self.points.iter().map(|&p| side_of(plane, p)).collect();
         let mut out = [PieceSide::new(self), PieceSide::new(self)];
         let mut cuts = Cuts::default();
         // Boundary of the lower side in the plane.
@@ -118,44 +104,39 @@ impl Piece {
         for t in &self.triangles {
             let s = t.map(|i| side[i as usize]);
             let (low, high) = (s.iter().any(|&s| s < 0), s.iter().any(|&s| s > 0));
-            if !high {
-                // The material of a face in the plane lies below if the face points up.
-                let in_plane = !low;
-                let faces_up = in_plane && {
-                    let [a, b, c] = self.corners(t);
-                    (b - a).cross(c - a).dot(plane.normal) > 0.0
-                };
-                if in_plane && !faces_up {
-                    out[1].triangle(self, *t);
-                } else {
+            let [a, b, c] = self.corners(t);
+            // The material of a face in the plane lies below if the face points up.
+            let faces_up = || (b - a).cross(c - a).dot(plane.normal) > 0.0;
+            match (low, high) {
+                (true, true) => {
+                    for k in 0..3 {
+                        let (i, j) = (t[k], t[(k + 1) % 3]);
+                        let (si, sj) = (s[k], s[(k + 1) % 3]);
+                        for (which, keep) in [(0usize, si <= 0), (1, si >= 0)] {
+                            if keep {
+                                out[which].corner(self, i);
+                            }
+                        }
+                        if si * sj < 0 {
+                            let p = cuts.point(self, plane, i, j);
+                            out[0].cut_corner(p, &cuts);
+                            out[1].cut_corner(p, &cuts);
+                        }
+                    }
+                    out[0].close_polygon();
+                    out[1].close_polygon();
+                }
+                (true, false) => out[0].triangle(self, *t),
+                (false, false) if faces_up() => {
                     out[0].triangle(self, *t);
-                    if in_plane && with_caps {
-                        let [a, b, c] = self.corners(t);
+                    if with_caps {
                         outline.extend([[a, b], [b, c], [c, a]].map(Edge::of_surface));
                     }
                 }
-            } else if !low {
-                out[1].triangle(self, *t);
-            } else {
-                for k in 0..3 {
-                    let (i, j) = (t[k], t[(k + 1) % 3]);
-                    let (si, sj) = (s[k], s[(k + 1) % 3]);
-                    for (which, keep) in [(0usize, si <= 0), (1, si >= 0)] {
-                        if keep {
-                            out[which].corner(self, i);
-                        }
-                    }
-                    if si * sj < 0 {
-                        let p = cuts.point(self, plane, i, j);
-                        out[0].cut_corner(p, &cuts);
-                        out[1].cut_corner(p, &cuts);
-                    }
-                }
-                out[0].close_polygon();
-                out[1].close_polygon();
+                (false, _) => out[1].triangle(self, *t),
             }
             if with_caps {
-                outline.extend(crossing(self.corners(t), s, plane).map(Edge::of_surface));
+                outline.extend(crossing([a, b, c], s, plane).map(Edge::of_surface));
             }
         }
         for &[i, j] in &self.spines {
@@ -188,7 +169,7 @@ impl Piece {
         if with_caps {
             let [below, above] = &mut sides;
             for cap in &self.caps {
-                cap.split(plane, HAIR, [&mut below.caps, &mut above.caps], &mut outline);
+                cap.split(plane, [&mut below.caps, &mut above.caps], &mut outline);
             }
             let mut outline = tidy(outline);
             if !outline.is_empty() {
@@ -199,9 +180,7 @@ impl Piece {
         }
         sides
     }
-}
 
-impl Piece {
     /// Returns the lines where the plane meets earlier cuts inside the cell and the solid.
     fn new_spines(&self, plane: Plane, step: f64, inside: &impl Fn(DVec3) -> bool) -> Vec<[DVec3; 2]> {
         let mut out = Vec::new();
@@ -284,15 +263,11 @@ fn outer(v: DVec3) -> DMat3 {
 
 /// Returns the boundary that the lower side of a triangle gains on the plane, oriented like the triangle.
 fn crossing(t: [DVec3; 3], s: [i8; 3], plane: Plane) -> Option<[DVec3; 2]> {
-    let low = s.iter().any(|&s| s < 0);
-    if !low {
-        return None;
-    }
     // Walking along the corners, the boundary leaves the lower side at `from` and enters it again at `to`.
     let (mut from, mut to) = (None, None);
     for k in 0..3 {
         let (a, b, sa, sb) = (t[k], t[(k + 1) % 3], s[k], s[(k + 1) % 3]);
-        match (sa.signum(), sb.signum()) {
+        match (sa, sb) {
             (-1, 1) => from = Some(between(a, b, plane)),
             (1, -1) => to = Some(between(a, b, plane)),
             (-1, 0) => from = Some(b),
@@ -300,10 +275,7 @@ fn crossing(t: [DVec3; 3], s: [i8; 3], plane: Plane) -> Option<[DVec3; 2]> {
             _ => {}
         }
     }
-    match (from, to) {
-        (Some(a), Some(b)) if a != b => Some([a, b]),
-        _ => None,
-    }
+    Some([from?, to?]).filter(|[from, to]| from != to)
 }
 
 /// Points where edges cross the plane, one per edge.
@@ -316,34 +288,25 @@ struct Cuts {
 impl Cuts {
     fn point(&mut self, piece: &Piece, plane: Plane, i: u32, j: u32) -> u32 {
         let key = (i.min(j), i.max(j));
-        if let Some(&p) = self.known.get(&key) {
-            return p;
-        }
-        let id = self.points.len() as u32;
-        self.points.push(between(piece.points[key.0 as usize], piece.points[key.1 as usize], plane));
-        self.known.insert(key, id);
-        id
+        *self.known.entry(key).or_insert_with(|| {
+            self.points.push(between(piece.points[key.0 as usize], piece.points[key.1 as usize], plane));
+            self.points.len() as u32 - 1
+        })
     }
 }
 
 /// One side during construction.
+#[derive(Default)]
 struct PieceSide {
     piece: Piece,
     old: Vec<u32>,
     new: Vec<u32>,
-    polygon: [u32; 4],
-    corners: usize,
+    polygon: Vec<u32>,
 }
 
 impl PieceSide {
     fn new(whole: &Piece) -> Self {
-        Self {
-            piece: Piece::default(),
-            old: vec![u32::MAX; whole.points.len()],
-            new: Vec::new(),
-            polygon: [0; 4],
-            corners: 0,
-        }
+        Self { old: vec![u32::MAX; whole.points.len()], ..Self::default() }
     }
 
     fn point(&mut self, whole: &Piece, i: u32) -> u32 {
@@ -362,7 +325,7 @@ impl PieceSide {
 
     fn corner(&mut self, whole: &Piece, i: u32) {
         let id = self.point(whole, i);
-        self.add(id);
+        self.polygon.push(id);
     }
 
     fn cut_corner(&mut self, cut: u32, cuts: &Cuts) {
@@ -373,28 +336,23 @@ impl PieceSide {
             self.new[cut as usize] = self.piece.points.len() as u32;
             self.piece.points.push(cuts.points[cut as usize]);
         }
-        self.add(self.new[cut as usize]);
-    }
-
-    fn add(&mut self, id: u32) {
-        if self.corners < 4 {
-            self.polygon[self.corners] = id;
-            self.corners += 1;
-        }
+        self.polygon.push(self.new[cut as usize]);
     }
 
     fn close_spine(&mut self) {
-        if self.corners == 2 && self.polygon[0] != self.polygon[1] {
-            self.piece.spines.push([self.polygon[0], self.polygon[1]]);
+        if let [a, b] = self.polygon[..]
+            && a != b
+        {
+            self.piece.spines.push([a, b]);
         }
-        self.corners = 0;
+        self.polygon.clear();
     }
 
     fn close_polygon(&mut self) {
-        for k in 1..self.corners.saturating_sub(1) {
+        for k in 1..self.polygon.len().saturating_sub(1) {
             self.piece.triangles.push([self.polygon[0], self.polygon[k], self.polygon[k + 1]]);
         }
-        self.corners = 0;
+        self.polygon.clear();
     }
 }
 

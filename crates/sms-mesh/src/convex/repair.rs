@@ -1,8 +1,12 @@
 //! Conversion of any mesh to a closed surface of few faces.
 
 use crate::convex::occupancy::InsideVoxels;
+use crate::convex::piece::six_volume;
 use crate::convex::remesh::remesh;
+use crate::smooth::collapsed;
+use crate::union_find::{find, unite};
 use glamx::DVec3;
+use sms_core::{Aabb, Mesh};
 use std::collections::BTreeMap;
 
 /// Openings up to this width, in half sizes of the object, are holes of a scan instead of mouths of vessels.
@@ -28,47 +32,35 @@ impl TriangleSurface {
     /// Returns whether every directed edge occurs as often as its opposite. The winding number is then an integer
     /// everywhere, even where more than two faces share an edge.
     pub(crate) fn is_closed(&self) -> bool {
-        let mut edges: Vec<(u32, u32, i8)> = self
-            .triangles
-            .iter()
-            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
-            .map(|(a, b)| (a.min(b), a.max(b), if a < b { 1 } else { -1 }))
-            .collect();
+        let is_balanced = |same: &[FaceEdge]| 2 * same.iter().filter(|e| e.forward).count() == same.len();
+        !self.triangles.is_empty() && self.sorted_edges().chunk_by(FaceEdge::is_same).all(is_balanced)
+    }
+
+    fn sorted_edges(&self) -> Vec<FaceEdge> {
+        let of_face = |(face, &[a, b, c]): (usize, &[u32; 3])| {
+            [(a, b), (b, c), (c, a)].map(|(a, b)| FaceEdge {
+                ends: [a.min(b), a.max(b)],
+                face,
+                forward: a < b,
+            })
+        };
+        let mut edges: Vec<FaceEdge> = self.triangles.iter().enumerate().flat_map(of_face).collect();
         edges.sort_unstable();
-        let balanced = edges
-            .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
-            .all(|same| same.iter().map(|e| i32::from(e.2)).sum::<i32>() == 0);
-        !self.triangles.is_empty() && balanced
+        edges
     }
 
     pub(crate) fn volume(&self) -> f64 {
-        let corner = |i: u32| self.points[i as usize];
-        self.triangles.iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c)))).sum::<f64>() / 6.0
+        self.triangles.iter().map(|t| six_volume(t.map(|i| self.points[i as usize]))).sum::<f64>() / 6.0
     }
 
-    fn flip(&mut self) {
-        for t in &mut self.triangles {
-            t.swap(1, 2);
-        }
-    }
-
-    /// Reduces the number of faces by quadric collapses (crate `meshopt`) that move the surface by at most `error`.
-    /// Returns the surface unchanged if the result would be open.
+    /// Reduces the number of faces by collapses that move the surface by at most `error`. Returns the surface unchanged
+    /// if the result would be open.
     pub(crate) fn decimated(self, faces: usize, error: f64) -> Self {
         if self.triangles.len() <= faces {
             return self;
         }
         let positions: Vec<[f32; 3]> = self.points.iter().map(|p| p.as_vec3().to_array()).collect();
-        let indices: Vec<u32> = self.triangles.iter().flatten().copied().collect();
-        let kept = meshopt::simplify_decoder(
-            &indices,
-            &positions,
-            faces * 3,
-            error as f32,
-            meshopt::SimplifyOptions::ErrorAbsolute,
-            None,
-        );
-        let triangles = kept.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+        let triangles = collapsed(&self.triangles, &positions, faces, error);
         let fewer = Self { points: self.points.clone(), triangles }.compacted();
         if fewer.is_closed() { fewer } else { self }
     }
@@ -76,17 +68,12 @@ impl TriangleSurface {
     /// Reorients faces so that neighbours agree, where edges have two faces each. Sheets with a reoriented face then
     /// face outwards.
     fn agree(&mut self) {
-        let mut edges: Vec<(u32, u32, usize, bool)> = Vec::with_capacity(3 * self.triangles.len());
-        for (f, &[a, b, c]) in self.triangles.iter().enumerate() {
-            edges.extend([(a, b), (b, c), (c, a)].map(|(a, b)| (a.min(b), a.max(b), f, a < b)));
-        }
-        edges.sort_unstable();
         // The face across, and whether it runs the other way along the edge, as a consistent neighbour does.
         let mut across: Vec<Vec<(usize, bool)>> = vec![Vec::new(); self.triangles.len()];
-        for same in edges.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        for same in self.sorted_edges().chunk_by(FaceEdge::is_same) {
             if let [a, b] = same {
-                across[a.2].push((b.2, a.3 != b.3));
-                across[b.2].push((a.2, a.3 != b.3));
+                across[a.face].push((b.face, a.forward != b.forward));
+                across[b.face].push((a.face, a.forward != b.forward));
             }
         }
         let mut turned: Vec<Option<bool>> = vec![None; self.triangles.len()];
@@ -110,12 +97,11 @@ impl TriangleSurface {
             if !sheet.iter().any(|&f| turned[f] == Some(true)) {
                 continue;
             }
-            let corner = |i: u32| self.points[i as usize];
-            let six_volume = |f: usize| {
-                let [a, b, c] = self.triangles[f].map(corner);
-                a.dot(b.cross(c)) * if turned[f] == Some(true) { -1.0 } else { 1.0 }
+            let volume = |&f: &usize| {
+                let corners = self.triangles[f].map(|i| self.points[i as usize]);
+                six_volume(corners) * if turned[f] == Some(true) { -1.0 } else { 1.0 }
             };
-            let inwards = sheet.iter().map(|&f| six_volume(f)).sum::<f64>() < 0.0;
+            let inwards = sheet.iter().map(volume).sum::<f64>() < 0.0;
             for &f in &sheet {
                 if (turned[f] == Some(true)) != inwards {
                     self.triangles[f].swap(1, 2);
@@ -126,40 +112,26 @@ impl TriangleSurface {
 
     /// Closes openings no wider than `width` by fans around their centres.
     fn fill_holes(&mut self, width: f64) {
-        let mut edges: Vec<(u32, u32)> =
-            self.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).collect();
-        edges.sort_unstable_by_key(|&(a, b)| (a.min(b), a.max(b), a));
         // Edges without an opposite.
         let mut open: Vec<(u32, u32)> = Vec::new();
-        for same in edges.chunk_by(|x, y| (x.0.min(x.1), x.0.max(x.1)) == (y.0.min(y.1), y.0.max(y.1))) {
-            let forward = same.iter().filter(|e| e.0 < e.1).count();
-            let (more, surplus) = if 2 * forward >= same.len() {
-                (same.iter().find(|e| e.0 < e.1), 2 * forward - same.len())
-            } else {
-                (same.iter().find(|e| e.0 > e.1), same.len() - 2 * forward)
-            };
-            open.extend(more.into_iter().flat_map(|&e| std::iter::repeat_n(e, surplus)));
+        for same in self.sorted_edges().chunk_by(FaceEdge::is_same) {
+            let [a, b] = same[0].ends;
+            let forward = same.iter().filter(|e| e.forward).count();
+            let backward = same.len() - forward;
+            let edge = if forward > backward { (a, b) } else { (b, a) };
+            open.extend(std::iter::repeat_n(edge, forward.abs_diff(backward)));
         }
-        let mut parent: BTreeMap<u32, u32> = open.iter().flat_map(|&(a, b)| [(a, a), (b, b)]).collect();
-        fn root(parent: &mut BTreeMap<u32, u32>, mut i: u32) -> u32 {
-            while parent[&i] != i {
-                let up = parent[&parent[&i]];
-                parent.insert(i, up);
-                i = up;
-            }
-            i
-        }
+        let mut parent: Vec<u32> = (0..self.points.len() as u32).collect();
         for &(a, b) in &open {
-            let (a, b) = (root(&mut parent, a), root(&mut parent, b));
-            parent.insert(a.max(b), a.min(b));
+            unite(&mut parent, a, b);
         }
         let mut holes: BTreeMap<u32, Vec<(u32, u32)>> = BTreeMap::new();
         for &(a, b) in &open {
-            holes.entry(root(&mut parent, a)).or_default().push((a, b));
+            holes.entry(find(&mut parent, a)).or_default().push((a, b));
         }
         for hole in holes.values() {
             let rim = || hole.iter().map(|e| self.points[e.0 as usize]);
-            let Some(bounds) = sms_core::Aabb::of_points(rim()) else { continue };
+            let Some(bounds) = Aabb::of_points(rim()) else { continue };
             if bounds.extents().max_element() > width {
                 continue;
             }
@@ -171,18 +143,24 @@ impl TriangleSurface {
     }
 
     fn compacted(self) -> Self {
-        let mut new = vec![u32::MAX; self.points.len()];
-        let mut out = Self::default();
-        for t in self.triangles {
-            out.triangles.push(t.map(|i| {
-                if new[i as usize] == u32::MAX {
-                    new[i as usize] = out.points.len() as u32;
-                    out.points.push(self.points[i as usize]);
-                }
-                new[i as usize]
-            }));
-        }
-        out
+        let Mesh { vertices, triangles, .. } = Mesh::new(self.points, self.triangles).compacted();
+        Self { points: vertices, triangles }
+    }
+}
+
+/// An edge of a face.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+struct FaceEdge {
+    /// The ends, ascending.
+    ends: [u32; 2],
+    face: usize,
+    /// Whether the face passes the edge from the smaller end to the greater one.
+    forward: bool,
+}
+
+impl FaceEdge {
+    fn is_same(&self, other: &Self) -> bool {
+        self.ends == other.ends
     }
 }
 
@@ -217,7 +195,7 @@ pub(crate) fn clean(points: &[DVec3], triangles: &[[u32; 3]]) -> TriangleSurface
         out.fill_holes(WIDEST_HOLE);
     }
     if out.is_closed() && out.volume() < 0.0 {
-        out.flip();
+        out.triangles.iter_mut().for_each(|t| t.swap(1, 2));
     }
     out
 }

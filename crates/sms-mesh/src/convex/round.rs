@@ -4,8 +4,9 @@
 //! the result. Equal patches around the axis follow the wall with half the surplus.
 
 use crate::convex::piece::Piece;
-use crate::convex::search::{HullBuffers, extent, flat_heights};
+use crate::convex::search::{extent, flat_heights};
 use crate::convex::solid::Solid;
+use crate::convex::sweep::GrowingHull;
 use crate::convex::work::Work;
 use crate::plane::Plane;
 use glamx::DVec3;
@@ -63,14 +64,7 @@ impl RoundAxis {
 
 /// Returns the axis that the normals of most of the surface meet.
 fn axis_of(piece: &Piece) -> Option<RoundAxis> {
-    let faces: Vec<(DVec3, DVec3)> = piece
-        .triangles
-        .iter()
-        .map(|t| {
-            let [a, b, c] = piece.corners(t);
-            ((a + b + c) / 3.0, (b - a).cross(c - a))
-        })
-        .collect();
+    let faces: Vec<(DVec3, DVec3)> = piece.faces().collect();
     let total: f64 = faces.iter().map(|f| f.1.length()).sum();
     let axes = piece.axes();
     let mut best: Option<(f64, RoundAxis)> = None;
@@ -106,11 +100,8 @@ fn axis_of(piece: &Piece) -> Option<RoundAxis> {
             side.length() < 0.05 * n.length() || side.normalize().dot(p - center).abs() < ASIDE
         };
         let round: f64 = faces.iter().filter(|f| meets(f)).map(|f| f.1.length()).sum();
-        let flat: f64 = faces
-            .iter()
-            .filter(|f| along.cross(f.1).length() < 0.05 * f.1.length())
-            .map(|f| f.1.length())
-            .sum();
+        let across = faces.iter().filter(|f| along.cross(f.1).length() < 0.05 * f.1.length());
+        let flat: f64 = across.map(|f| f.1.length()).sum();
         // The floor of a box is flat, too.
         let share = (round - flat) / (total - flat).max(0.2 * total);
         if share > ROUND_SHARE && best.is_none_or(|b| share > b.0) {
@@ -123,15 +114,8 @@ fn axis_of(piece: &Piece) -> Option<RoundAxis> {
 /// Returns heights that divide the wall into `count` bands of equal length along its outline.
 fn equal_bands(piece: &Piece, axis: RoundAxis, count: usize) -> Vec<f64> {
     // Length of each face along the outline, with the face's height.
-    let mut lengths: Vec<(f64, f64)> = piece
-        .triangles
-        .iter()
-        .map(|t| {
-            let [a, b, c] = piece.corners(t);
-            let p = (a + b + c) / 3.0;
-            (p.dot(axis.along), (b - a).cross(c - a).length() / axis.radius(p).max(0.02))
-        })
-        .collect();
+    let length = |(p, cross): (DVec3, DVec3)| (p.dot(axis.along), cross.length() / axis.radius(p).max(0.02));
+    let mut lengths: Vec<(f64, f64)> = piece.faces().map(length).collect();
     lengths.sort_by(|a, b| a.0.total_cmp(&b.0));
     let total: f64 = lengths.iter().map(|l| l.1).sum();
     let mut out = Vec::new();
@@ -158,7 +142,7 @@ impl Rounds {
     ) -> Option<Self> {
         let axis = axis_of(piece)?;
         let floors = flat_heights(piece, axis.along);
-        let mut scratch = HullBuffers::default();
+        let mut hull = GrowingHull::default();
         // Volumes by plan, band and number of sectors.
         let mut plans: Vec<(Vec<f64>, Vec<Vec<f64>>)> = Vec::new();
         for count in 1..=MOST_BANDS {
@@ -176,21 +160,18 @@ impl Rounds {
                     continue;
                 }
                 let bands = bands(piece, axis, &heights, solid, work);
-                let volumes =
-                    bands.iter().map(|band| volumes(band, axis, solid, &mut scratch, work)).collect();
+                let volumes = bands.iter().map(|band| volumes(band, axis, solid, &mut hull, work)).collect();
                 plans.push((heights, volumes));
             }
         }
+        let price = |v: &[f64], k: usize| v[k] + part_cost * SECTORS[k] as f64;
+        let cheapest = |v: &Vec<f64>| {
+            (0..SECTORS.len()).min_by(|&a, &b| price(v, a).total_cmp(&price(v, b))).unwrap_or(0)
+        };
         let best = plans
             .iter()
             .map(|(heights, volumes)| {
-                let price = |v: &[f64], k: usize| v[k] + part_cost * SECTORS[k] as f64;
-                let chosen: Vec<usize> = volumes
-                    .iter()
-                    .map(|v| {
-                        (0..SECTORS.len()).min_by(|&a, &b| price(v, a).total_cmp(&price(v, b))).unwrap_or(0)
-                    })
-                    .collect();
+                let chosen: Vec<usize> = volumes.iter().map(cheapest).collect();
                 let sum: f64 = chosen.iter().zip(volumes).map(|(&k, v)| price(v, k)).sum();
                 (sum, heights, chosen)
             })
@@ -221,8 +202,7 @@ impl Rounds {
             // Two halves, then one sector after another from each half.
             let step = std::f64::consts::TAU / count as f64;
             let [second, first] = band.split(self.axis.plane(0.0), with_caps, &inside);
-            for (half, start) in [(first, 0.0), (second, std::f64::consts::PI)] {
-                let mut half = half;
+            for (mut half, start) in [(first, 0.0), (second, std::f64::consts::PI)] {
                 for i in 1..count / 2 {
                     let [below, above] =
                         half.split(self.axis.plane(start + step * i as f64), with_caps, &inside);
@@ -251,34 +231,31 @@ fn bands(piece: &Piece, axis: RoundAxis, heights: &[f64], solid: &Solid, work: &
 }
 
 /// Returns the hull volume of all sectors of a band for each number of sectors, estimated from the middle one of three.
-fn volumes(band: &Piece, axis: RoundAxis, solid: &Solid, scratch: &mut HullBuffers, work: &Work) -> Vec<f64> {
+fn volumes(band: &Piece, axis: RoundAxis, solid: &Solid, hull: &mut GrowingHull, work: &Work) -> Vec<f64> {
     let inside = |p| solid.contains(p, work);
     let out = SECTORS
         .iter()
         .map(|&count| {
             if count == 1 {
-                return band.hull_volume(&mut scratch.hull);
+                return band.hull_volume(hull);
             }
             let step = std::f64::consts::TAU / count as f64;
             let mut three: Vec<f64> = [0.3, 2.4, 4.5]
                 .iter()
                 .map(|&start| {
                     work.add(4 * band.size());
-                    let [_, sector] = band.split(axis.plane(start), false, &inside);
-                    let sector = if count == 2 {
-                        sector
-                    } else {
-                        let [sector, _] = sector.split(axis.plane(start + step), false, &inside);
-                        sector
-                    };
-                    sector.hull_volume(&mut scratch.hull)
+                    let [_, mut sector] = band.split(axis.plane(start), false, &inside);
+                    if count > 2 {
+                        [sector, _] = sector.split(axis.plane(start + step), false, &inside);
+                    }
+                    sector.hull_volume(hull)
                 })
                 .collect();
             three.sort_by(f64::total_cmp);
             three[1] * count as f64
         })
         .collect();
-    work.add(scratch.hull.take_steps());
+    work.add(hull.take_steps());
     out
 }
 

@@ -5,9 +5,8 @@
 //! uninformative for rings, tubes and bowls: the hulls of two half rings are together as large as the hull of the ring.
 
 use crate::convex::piece::Piece;
-use crate::convex::solid::Solid;
+use crate::convex::solid::{Decomposition, rv_volume};
 use crate::convex::sweep::{GrowingHull, outline};
-use crate::convex::work::Work;
 use crate::plane::Plane;
 use glamx::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -18,7 +17,15 @@ const SLIGHT: f64 = 2e-3;
 /// Share of a piece's surplus that a good cut removes.
 const PLENTY: f64 = 0.6;
 
-const AXES: [DVec3; 3] = [DVec3::X, DVec3::Y, DVec3::Z];
+/// Number of offsets along each direction of the first cut, and of the second.
+const OFFSETS: [usize; 2] = [15, 7];
+
+/// Number of first cuts that are tried with second cuts.
+const CANDIDATES: usize = 16;
+
+/// Hull volume that an additional part must save, in units of the volume with [`rv`](crate::convex::solid::rv) at the
+/// threshold.
+const PART_COST: f64 = 0.05;
 
 /// Set of candidate planes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,24 +39,10 @@ pub(crate) enum CutPlanes {
     Flat,
 }
 
-/// Breadth of the search.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Breadth {
-    /// Number of offsets along each direction of the first cut.
-    pub(crate) first: usize,
-    /// Number of offsets along each direction of the second cut.
-    pub(crate) second: usize,
-    /// Number of first cuts that are tried with second cuts.
-    pub(crate) candidates: usize,
-    pub(crate) planes: CutPlanes,
-    /// Hull volume that an additional part must save.
-    pub(crate) part_cost: f64,
-}
-
 /// Buffers of one task.
 #[derive(Default)]
-pub(crate) struct HullBuffers {
-    pub(crate) hull: GrowingHull,
+struct HullBuffers {
+    hull: GrowingHull,
     heights: Vec<f64>,
     order: Vec<u32>,
     outlines: Vec<Vec<(DVec2, DVec3)>>,
@@ -57,7 +50,7 @@ pub(crate) struct HullBuffers {
 }
 
 /// Computes the volumes of the hulls below and above each of the planes `normal · p = offsets[k]` (ascending).
-pub(crate) fn side_volumes(
+fn side_volumes(
     piece: &Piece,
     edges: &[(u32, u32)],
     normal: DVec3,
@@ -136,26 +129,17 @@ fn even_offsets(piece: &Piece, normal: DVec3, count: usize) -> Vec<f64> {
     (1..=count).map(|k| low + (high - low) * k as f64 / (count + 1) as f64).collect()
 }
 
-fn add_direction(directions: &mut Vec<DVec3>, d: DVec3) {
-    if directions.iter().all(|e| e.dot(d).abs() < 0.985) {
-        directions.push(d);
-    }
-}
-
 /// Returns the axes of the frame and of the piece, and the diagonals between the latter.
 fn directions(piece: &Piece) -> Vec<DVec3> {
-    let mut out = AXES.to_vec();
+    let mut out = DVec3::AXES.to_vec();
     let axes = piece.axes();
-    for a in axes {
-        add_direction(&mut out, a);
-    }
-    for k in 0..3 {
-        let (a, b) = (axes[k], axes[(k + 1) % 3]);
-        add_direction(&mut out, (a + b).normalize());
-        add_direction(&mut out, (a - b).normalize());
-    }
-    for (a, b) in [(DVec3::X, DVec3::Y), (DVec3::X, DVec3::NEG_Y)] {
-        add_direction(&mut out, (a + b).normalize());
+    let diagonals = [0, 1, 2].map(|k| (axes[k], axes[(k + 1) % 3]));
+    let diagonals = diagonals.into_iter().flat_map(|(a, b)| [(a + b).normalize(), (a - b).normalize()]);
+    let level = [DVec3::Y, DVec3::NEG_Y].map(|b| (DVec3::X + b).normalize());
+    for d in axes.into_iter().chain(diagonals).chain(level) {
+        if out.iter().all(|e| e.dot(d).abs() < 0.985) {
+            out.push(d);
+        }
     }
     out
 }
@@ -163,9 +147,7 @@ fn directions(piece: &Piece) -> Vec<DVec3> {
 /// Returns the axes of the frame and the directions of the largest flat faces.
 fn flat_directions(piece: &Piece) -> Vec<DVec3> {
     let mut flat: Vec<(DVec3, f64)> = Vec::new();
-    for t in &piece.triangles {
-        let [a, b, c] = piece.corners(t);
-        let cross = (b - a).cross(c - a);
+    for (_, cross) in piece.faces() {
         let Some(n) = cross.try_normalize() else { continue };
         match flat.iter().position(|f| f.0.dot(n).abs() > 0.9995) {
             Some(k) => flat[k].1 += cross.length(),
@@ -173,14 +155,14 @@ fn flat_directions(piece: &Piece) -> Vec<DVec3> {
         }
         if flat.len() > 200 {
             // The piece is round everywhere.
-            return AXES.to_vec();
+            return DVec3::AXES.to_vec();
         }
     }
     let total: f64 = flat.iter().map(|f| f.1).sum();
     flat.retain(|f| f.1 > 0.03 * total);
     flat.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut out: Vec<DVec3> = flat.iter().take(6).map(|f| f.0).collect();
-    for axis in AXES {
+    for axis in DVec3::AXES {
         if out.iter().all(|d| d.dot(axis).abs() < 0.9995) {
             out.push(axis);
         }
@@ -221,16 +203,22 @@ pub(crate) fn flat_heights(piece: &Piece, normal: DVec3) -> Vec<f64> {
 }
 
 /// Returns the least cost of a side's hulls after at most one more cut.
-fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut HullBuffers) -> f64 {
-    if whole < 2.0 * breadth.part_cost {
+fn after_next_cut(
+    side: &Piece,
+    whole: f64,
+    planes: CutPlanes,
+    part_cost: f64,
+    scratch: &mut HullBuffers,
+) -> f64 {
+    if whole < 2.0 * part_cost {
         return whole;
     }
     let edges = side.edges();
     let mut best = whole;
-    for normal in if breadth.planes == CutPlanes::All { side.axes() } else { AXES } {
-        let offsets = even_offsets(side, normal, breadth.second);
+    for normal in if planes == CutPlanes::All { side.axes() } else { DVec3::AXES } {
+        let offsets = even_offsets(side, normal, OFFSETS[1]);
         for (below, above) in side_volumes(side, &edges, normal, &offsets, scratch) {
-            best = best.min(below + above + breadth.part_cost);
+            best = best.min(below + above + part_cost);
         }
     }
     best
@@ -238,28 +226,24 @@ fn after_next_cut(side: &Piece, whole: f64, breadth: Breadth, scratch: &mut Hull
 
 /// Returns the plane with the least hull volume after this cut and one more cut on each side; `None` when the piece is
 /// too thin everywhere.
-pub(crate) fn best_cut(
-    piece: &Piece,
-    surplus: f64,
-    solid: &Solid,
-    breadth: Breadth,
-    work: &Work,
-) -> Option<Plane> {
+pub(crate) fn best_cut(piece: &Piece, surplus: f64, planes: CutPlanes, task: Decomposition) -> Option<Plane> {
+    let Decomposition { solid, threshold, work } = task;
     let edges = piece.edges();
-    let directions = match breadth.planes {
+    let directions = match planes {
         CutPlanes::All => directions(piece),
-        CutPlanes::Square => AXES.to_vec(),
+        CutPlanes::Square => DVec3::AXES.to_vec(),
         CutPlanes::Flat => flat_directions(piece),
     };
     let per_direction: Vec<Vec<(Plane, f64, f64, bool)>> = directions
         .par_iter()
         .map_init(HullBuffers::default, |scratch, &normal| {
-            let mut offsets = even_offsets(piece, normal, breadth.first);
+            let mut offsets = even_offsets(piece, normal, OFFSETS[0]);
             let (low, high) = extent(piece, normal);
             let middle = 0.5 * (low + high);
             let mut flat = flat_heights(piece, normal);
             flat.retain(|h| *h > low + 2e-3 && *h < high - 2e-3);
-            if breadth.planes == CutPlanes::Flat && !flat.is_empty() {
+            let is_flat = planes == CutPlanes::Flat && !flat.is_empty();
+            if is_flat {
                 offsets.clear();
             }
             offsets.extend(&flat);
@@ -270,9 +254,10 @@ pub(crate) fn best_cut(
             }
             let volumes = side_volumes(piece, &edges, normal, &offsets, scratch);
             work.add((edges.len() + piece.points.len()) as u64 + scratch.hull.take_steps());
-            if breadth.planes == CutPlanes::Flat && !flat.is_empty() {
-                let planes = offsets.iter().zip(volumes);
-                return planes.map(|(&offset, v)| (Plane { normal, offset }, v.0, v.1, true)).collect();
+            let candidate =
+                |k: usize| (Plane { normal, offset: offsets[k] }, volumes[k].0, volumes[k].1, is_flat);
+            if is_flat {
+                return (0..offsets.len()).map(candidate).collect();
             }
             let sum = |k: usize| volumes[k].0 + volumes[k].1;
             let mut chosen: Vec<usize> = Vec::new();
@@ -280,7 +265,7 @@ pub(crate) fn best_cut(
             let mut order: Vec<usize> = (0..offsets.len()).collect();
             order.sort_by(|&a, &b| sum(a).total_cmp(&sum(b)).then(a.cmp(&b)));
             for k in order {
-                let apart = (high - low) / breadth.first as f64 * 1.5;
+                let apart = (high - low) / OFFSETS[0] as f64 * 1.5;
                 if chosen.len() < 2 && chosen.iter().all(|&c| (offsets[c] - offsets[k]).abs() > apart) {
                     chosen.push(k);
                 }
@@ -289,10 +274,7 @@ pub(crate) fn best_cut(
                 (offsets[a] - middle).abs().total_cmp(&(offsets[b] - middle).abs()).then(a.cmp(&b))
             });
             chosen.extend(mid.filter(|m| !chosen.contains(m)));
-            chosen
-                .into_iter()
-                .map(|k| (Plane { normal, offset: offsets[k] }, volumes[k].0, volumes[k].1, false))
-                .collect()
+            chosen.into_iter().map(candidate).collect()
         })
         .collect();
     let mut candidates: Vec<(Plane, f64, f64, bool)> = per_direction.into_iter().flatten().collect();
@@ -307,7 +289,8 @@ pub(crate) fn best_cut(
         return Some(best.0);
     }
     candidates.sort_by(|a, b| sum(a).total_cmp(&sum(b)));
-    candidates.truncate(breadth.candidates);
+    candidates.truncate(CANDIDATES);
+    let part_cost = PART_COST * rv_volume(threshold);
     let scores: Vec<f64> = candidates
         .par_iter()
         .map_init(HullBuffers::default, |scratch, &(plane, below, above, _)| {
@@ -316,8 +299,8 @@ pub(crate) fn best_cut(
             if sides.iter().any(|s| s.points.len() < 4) {
                 return f64::INFINITY;
             }
-            let score = after_next_cut(&sides[0], below, breadth, scratch)
-                + after_next_cut(&sides[1], above, breadth, scratch);
+            let score = after_next_cut(&sides[0], below, planes, part_cost, scratch)
+                + after_next_cut(&sides[1], above, planes, part_cost, scratch);
             work.add(6 * piece.size() + scratch.hull.take_steps());
             score
         })

@@ -5,6 +5,7 @@
 //! higher plane, so its points can stay.
 
 use crate::outline::{monotone_chain, sort};
+use crate::predicates::{ACROSS, FACES};
 use glamx::{DVec2, DVec3};
 
 #[derive(Clone, Copy)]
@@ -84,24 +85,21 @@ impl GrowingHull {
         self.volume / (6.0 * STEPS * STEPS * STEPS)
     }
 
+    /// Replaces the hull by that of `points`, as after [`Self::clear`], and returns its volume.
+    pub(crate) fn refill<'a>(&mut self, slight: f64, points: impl IntoIterator<Item = &'a DVec3>) -> f64 {
+        self.clear(slight);
+        points.into_iter().for_each(|&p| self.push(p));
+        self.volume()
+    }
+
     fn start(&mut self) {
         let steps: Vec<DVec3> = self.waiting.iter().map(|p| (p * STEPS).round()).collect();
         let Some(simplex) = extreme_simplex(&steps) else { return };
         self.points.extend(simplex.map(|i| self.waiting[i]));
         self.steps.extend(simplex.map(|i| steps[i]));
         self.starting.resize(4, NONE);
-        for corners in [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]] {
-            self.add_face(corners, [NONE; 3]);
-        }
-        for f in 0..4 {
-            for k in 0..3 {
-                let (a, b) = (self.faces[f].corners[k], self.faces[f].corners[(k + 1) % 3]);
-                let twin = (0..4u32).find(|&g| {
-                    let c = self.faces[g as usize].corners;
-                    (0..3).any(|m| c[m] == b && c[(m + 1) % 3] == a)
-                });
-                self.faces[f].across[k] = twin.unwrap_or(NONE);
-            }
+        for (corners, across) in FACES.into_iter().zip(ACROSS) {
+            self.add_face(corners.map(|k| k as u32), across);
         }
         let [a, b, c, d] = simplex.map(|i| steps[i]);
         self.volume = (b - a).cross(c - a).dot(d - a);

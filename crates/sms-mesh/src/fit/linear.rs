@@ -1,4 +1,26 @@
-//! Small dense linear systems.
+//! Small dense linear systems, and weights of robust least squares.
+
+/// Weight of a residual under Tukey's biweight.
+pub(super) fn tukey(residual: f64, scale: f64) -> f64 {
+    let x = residual / scale;
+    if x.abs() >= 1.0 { 0.0 } else { (1.0 - x * x).powi(2) }
+}
+
+/// Returns the normal equations `a`, `b` of Σ w (r + J x)² from rows `(J, r, w)`.
+pub(super) fn normal_equations<const N: usize>(
+    rows: impl Iterator<Item = ([f64; N], f64, f64)>,
+) -> ([[f64; N]; N], [f64; N]) {
+    let (mut a, mut b) = ([[0.0; N]; N], [0.0; N]);
+    for (j, r, w) in rows {
+        for m in 0..N {
+            for n in 0..N {
+                a[m][n] += w * j[m] * j[n];
+            }
+            b[m] -= w * j[m] * r;
+        }
+    }
+    (a, b)
+}
 
 /// Solves `a x = b` by Gauss-Jordan elimination with row pivots; `None` if a pivot is at most `least` or the solution
 /// is not finite.

@@ -4,7 +4,7 @@
 //! It is refined by iteratively reweighted least squares on the distances of points to their face.
 
 use crate::fit::config::PrimitiveConfig;
-use crate::fit::linear::solve;
+use crate::fit::linear::{normal_equations, solve, tukey};
 use crate::statistics::{median, quantile};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use rand::RngExt;
@@ -64,28 +64,23 @@ pub fn fit_primitive(
         return None;
     }
     let stride = n.div_ceil(SAMPLE).max(1);
-    let some = Points {
-        points: cloud.points_w.iter().copied().step_by(stride).collect(),
-        normals: cloud.normals_w.iter().copied().step_by(stride).collect(),
+    let some = PointCloud {
+        points_w: cloud.points_w.iter().copied().step_by(stride).collect(),
+        normals_w: cloud.normals_w.iter().copied().step_by(stride).collect(),
+        ..PointCloud::default()
     };
-    let all = Points { points: cloud.points_w.clone(), normals: cloud.normals_w.clone() };
     let seeds = (seed.derive("box"), seed.derive("cylinder"));
     [guess::<true>(&some, upright, config, seeds.0), guess::<false>(&some, upright, config, seeds.1)]
         .into_iter()
         .flatten()
         .map(|guess| {
-            let solid = settled(&all, refine(&all, refine(&some, guess, config), config));
-            describe(&all, &solid, config)
+            let solid = settled(cloud, refine(cloud, refine(&some, guess, config), config));
+            describe(cloud, &solid, config)
         })
         .filter(|fit| fit.inlier_share.is_finite())
         .max_by(|a, b| {
             a.inlier_share.total_cmp(&b.inlier_share).then(b.residual_p90_m.total_cmp(&a.residual_p90_m))
         })
-}
-
-struct Points {
-    points: Vec<DVec3>,
-    normals: Vec<DVec3>,
 }
 
 /// A box (`size` = half extents) or a cylinder along z (`size` = radius, radius, half length).
@@ -139,15 +134,20 @@ impl FittedSolid {
         }
     }
 
-    fn mean_cost(&self, cloud: &Points, reach: f64) -> f64 {
+    /// Returns the points and normals of a cloud in `S`.
+    fn local(&self, cloud: &PointCloud) -> impl Iterator<Item = (DVec3, DVec3)> {
         let x_sw = self.x_ws.inverse();
-        let costs = cloud.points.iter().zip(&cloud.normals).map(|(&p, &n)| {
-            let (p, n) = (x_sw.transform_point(p), x_sw.rotation * n);
+        let of = move |(&p, &n): (&DVec3, &DVec3)| (x_sw.transform_point(p), x_sw.rotation * n);
+        cloud.points_w.iter().zip(&cloud.normals_w).map(of)
+    }
+
+    fn mean_cost(&self, cloud: &PointCloud, reach: f64) -> f64 {
+        let costs = self.local(cloud).map(|(p, n)| {
             let face = self.face(p, n);
             let agrees = face.normal.dot(n) > 0.5;
             if agrees { (surface_distance(self, p) / reach).powi(2).min(1.0) } else { 1.0 }
         });
-        costs.sum::<f64>() / cloud.points.len() as f64
+        costs.sum::<f64>() / cloud.points_w.len() as f64
     }
 }
 
@@ -163,16 +163,17 @@ fn surface_distance(solid: &FittedSolid, p: DVec3) -> f64 {
 
 /// Returns the best of random frames, with sizes from the extent of the points.
 fn guess<const BOX: bool>(
-    cloud: &Points,
+    cloud: &PointCloud,
     upright: Option<DVec3>,
     config: &PrimitiveConfig,
     seed: Seed,
 ) -> Option<FittedSolid> {
     let mut rng = seed.rng();
-    let count = cloud.points.len();
+    let count = cloud.points_w.len();
     let mut frames = Vec::with_capacity(TRIALS);
     for trial in 0..TRIALS {
-        let (a, b) = (cloud.normals[rng.random_range(0..count)], cloud.normals[rng.random_range(0..count)]);
+        let (a, b) =
+            (cloud.normals_w[rng.random_range(0..count)], cloud.normals_w[rng.random_range(0..count)]);
         // The first axis of a box is the normal of a face. The axis of a cylinder is perpendicular to the normals of
         // its side, or parallel to those of its ends.
         let axis = match upright.filter(|_| trial % 2 == 0) {
@@ -201,10 +202,10 @@ fn guess<const BOX: bool>(
 }
 
 /// Returns the solid of this orientation around the points.
-fn sized<const BOX: bool>(cloud: &Points, rotation: DQuat) -> Option<FittedSolid> {
+fn sized<const BOX: bool>(cloud: &PointCloud, rotation: DQuat) -> Option<FittedSolid> {
     let inverse = rotation.inverse();
     let local: Vec<(DVec3, DVec3)> =
-        cloud.points.iter().zip(&cloud.normals).map(|(&p, &n)| (inverse * p, inverse * n)).collect();
+        cloud.points_w.iter().zip(&cloud.normals_w).map(|(&p, &n)| (inverse * p, inverse * n)).collect();
     let (mut center, mut size) = (DVec3::ZERO, DVec3::ZERO);
     for k in if BOX { 0..3 } else { 2..3 } {
         let (low, high) = (end(&local, k, -1.0), end(&local, k, 1.0));
@@ -238,14 +239,8 @@ fn end(local: &[(DVec3, DVec3)], axis: usize, sign: f64) -> f64 {
 }
 
 /// Recomputes unseen ends: the guessed frame was slightly rotated.
-fn settled(cloud: &Points, mut solid: FittedSolid) -> FittedSolid {
-    let x_sw = solid.x_ws.inverse();
-    let local: Vec<(DVec3, DVec3)> = cloud
-        .points
-        .iter()
-        .zip(&cloud.normals)
-        .map(|(&p, &n)| (x_sw.transform_point(p), x_sw.rotation * n))
-        .collect();
+fn settled(cloud: &PointCloud, mut solid: FittedSolid) -> FittedSolid {
+    let local: Vec<(DVec3, DVec3)> = solid.local(cloud).collect();
     let mut shift = DVec3::ZERO;
     for k in if solid.is_box { 0..3 } else { 2..3 } {
         let ends = [-1.0, 1.0].map(|sign| {
@@ -280,25 +275,22 @@ fn circle_through(points: &[DVec3]) -> Option<(DVec3, f64)> {
 }
 
 /// Refines rotation, translation and sizes by reweighted least squares.
-fn refine(cloud: &Points, mut solid: FittedSolid, config: &PrimitiveConfig) -> FittedSolid {
+fn refine(cloud: &PointCloud, mut solid: FittedSolid, config: &PrimitiveConfig) -> FittedSolid {
     let wide = 4.0 * config.inlier_distance;
     let mut scale = wide;
     for round in 0..ROUNDS {
-        let x_sw = solid.x_ws.inverse();
-        let (mut normal_matrix, mut right) = ([[0.0; 9]; 9], [0.0; 9]);
-        let mut residuals = Vec::with_capacity(cloud.points.len());
-        for (&p, &n) in cloud.points.iter().zip(&cloud.normals) {
-            let (p, n) = (x_sw.transform_point(p), x_sw.rotation * n);
+        let mut rows = Vec::with_capacity(cloud.points_w.len());
+        let mut residuals = Vec::with_capacity(cloud.points_w.len());
+        for (p, n) in solid.local(cloud) {
             let face = solid.face(p, n);
             if face.normal.dot(n) < 0.5 {
                 continue;
             }
             residuals.push(face.distance.abs());
-            let x = face.distance / scale;
-            if x.abs() >= 1.0 {
+            let weight = tukey(face.distance, scale);
+            if weight == 0.0 {
                 continue;
             }
-            let weight = (1.0 - x * x).powi(2);
             let turn = face.normal.cross(p);
             let mut row = [0.0; 9];
             for k in 0..3 {
@@ -306,7 +298,7 @@ fn refine(cloud: &Points, mut solid: FittedSolid, config: &PrimitiveConfig) -> F
                 row[3 + k] = -face.normal[k];
             }
             row[6 + face.size] = -1.0;
-            accumulate(&mut normal_matrix, &mut right, &row, (face.distance, weight));
+            rows.push((row, face.distance, weight));
         }
         if residuals.len() < 30 {
             return solid;
@@ -314,7 +306,7 @@ fn refine(cloud: &Points, mut solid: FittedSolid, config: &PrimitiveConfig) -> F
         if round >= 6 {
             scale = (4.685 * 1.4826 * median(residuals)).clamp(2e-4, wide);
         }
-        let Some(step) = solve_damped(normal_matrix, right) else { return solid };
+        let Some(step) = solve_damped(normal_equations(rows.into_iter())) else { return solid };
         let turn = DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2]));
         let shift = DVec3::new(step[3], step[4], step[5]);
         solid.x_ws *= DPose3::from_parts(shift, turn);
@@ -331,50 +323,30 @@ fn refine(cloud: &Points, mut solid: FittedSolid, config: &PrimitiveConfig) -> F
     solid
 }
 
-fn accumulate(
-    matrix: &mut [[f64; 9]; 9],
-    right: &mut [f64; 9],
-    row: &[f64; 9],
-    (residual, weight): (f64, f64),
-) {
-    for i in 0..9 {
-        for j in 0..9 {
-            matrix[i][j] += weight * row[i] * row[j];
-        }
-        right[i] -= weight * row[i] * residual;
-    }
-}
-
 /// Solves the damped normal equations: undetermined unknowns keep their value.
-fn solve_damped(mut a: [[f64; 9]; 9], right: [f64; 9]) -> Option<[f64; 9]> {
+fn solve_damped((mut a, b): ([[f64; 9]; 9], [f64; 9])) -> Option<[f64; 9]> {
     // Rotations are in radians and sizes in metres, so each kind has its own damping.
-    let largest = |a: &[[f64; 9]; 9], from: usize, to: usize| (from..to).map(|k| a[k][k]).fold(0.0, f64::max);
-    let (turns, lengths) = (largest(&a, 0, 3), largest(&a, 3, 9));
+    let largest = |of: std::ops::Range<usize>| of.map(|k| a[k][k]).fold(0.0, f64::max);
+    let (turns, lengths) = (largest(0..3), largest(3..9));
     for (k, row) in a.iter_mut().enumerate() {
         row[k] += 1e-6 * if k < 3 { turns } else { lengths } + f64::MIN_POSITIVE;
     }
-    solve(a, right, 0.0)
+    solve(a, b, 0.0)
 }
 
-fn describe(cloud: &Points, solid: &FittedSolid, config: &PrimitiveConfig) -> PrimitiveFit {
-    let x_sw = solid.x_ws.inverse();
+fn describe(cloud: &PointCloud, solid: &FittedSolid, config: &PrimitiveConfig) -> PrimitiveFit {
     let mut inliers = 0usize;
-    let residuals: Vec<f64> = cloud
-        .points
-        .iter()
-        .zip(&cloud.normals)
-        .map(|(&p, &n)| {
-            let (p, n) = (x_sw.transform_point(p), x_sw.rotation * n);
-            let distance = surface_distance(solid, p);
-            inliers += usize::from(distance <= config.inlier_distance && agrees(solid, p, n));
-            distance
-        })
-        .collect();
+    let distance = |(p, n)| {
+        let distance = surface_distance(solid, p);
+        inliers += usize::from(distance <= config.inlier_distance && agrees(solid, p, n));
+        distance
+    };
+    let residuals: Vec<f64> = solid.local(cloud).map(distance).collect();
     PrimitiveFit {
         shape: solid.shape(),
         residual_median_m: median(residuals.clone()),
         residual_p90_m: quantile(residuals, 0.9),
-        inlier_share: inliers as f64 / cloud.points.len() as f64,
+        inlier_share: inliers as f64 / cloud.points_w.len() as f64,
     }
 }
 

@@ -1,8 +1,9 @@
 //! Spheres: random sample consensus (Fischler and Bolles 1981) with geometric refinement.
 
 use crate::fit::config::SphereConfig;
-use crate::fit::linear::solve;
+use crate::fit::linear::{normal_equations, solve, tukey};
 use crate::statistics::median;
+use crate::tetra::to_circumcenter;
 use glamx::DVec3;
 use rand::RngExt;
 use sms_core::{Aabb, Seed};
@@ -61,7 +62,8 @@ pub fn fit_sphere(points: &[DVec3], config: &SphereConfig, seed: Seed) -> Option
     let mut candidates: Vec<(f64, DVec3, f64)> = (0..config.samples)
         .filter_map(|_| {
             let pick = std::array::from_fn(|_| sample[rng.random_range(0..sample.len())]);
-            let (center, radius) = sphere_through(pick)?;
+            let offset = to_circumcenter(pick)?;
+            let (center, radius) = (pick[0] + offset, offset.length());
             allowed.contains(&radius).then(|| (cost(center, radius), center, radius))
         })
         .collect();
@@ -122,16 +124,6 @@ fn inlier_distance(config: &SphereConfig, radius: f64) -> f64 {
     config.inlier_distance.max(config.inlier_radius_share * radius)
 }
 
-/// Returns the sphere through four points; `None` when they are (nearly) coplanar.
-fn sphere_through(p: [DVec3; 4]) -> Option<(DVec3, f64)> {
-    let (u, v, w) = (p[1] - p[0], p[2] - p[0], p[3] - p[0]);
-    let volume = 2.0 * u.dot(v.cross(w));
-    let offset =
-        (u.length_squared() * v.cross(w) + v.length_squared() * w.cross(u) + w.length_squared() * u.cross(v))
-            / volume;
-    offset.is_finite().then(|| (p[0] + offset, offset.length()))
-}
-
 /// Returns the share of 162 even directions with a point within 12°.
 fn coverage(points: &[DVec3], center: DVec3) -> f64 {
     let directions = sms_core::Mesh::icosphere(1.0, 2).vertices;
@@ -139,12 +131,6 @@ fn coverage(points: &[DVec3], center: DVec3) -> f64 {
     let near = 12f64.to_radians().cos();
     let seen = directions.iter().filter(|d| unit.iter().any(|u| u.dot(**d) > near)).count();
     seen as f64 / directions.len() as f64
-}
-
-/// Weight of a residual under Tukey's biweight.
-fn tukey(residual: f64, scale: f64) -> f64 {
-    let x = residual / scale;
-    if x.abs() >= 1.0 { 0.0 } else { (1.0 - x * x).powi(2) }
 }
 
 /// Gauss-Newton on distances to the surface. Returns centre, radius and the residuals' robust deviation.
@@ -222,15 +208,7 @@ pub fn refine_on_rays(
 
 /// Minimises Σ w (r + J x)² for four unknowns; `None` if they are not determined.
 fn solve_normal(rows: impl Iterator<Item = ([f64; 4], f64, f64)>) -> Option<[f64; 4]> {
-    let (mut a, mut b) = ([[0.0; 4]; 4], [0.0; 4]);
-    for (j, r, w) in rows {
-        for m in 0..4 {
-            for n in 0..4 {
-                a[m][n] += w * j[m] * j[n];
-            }
-            b[m] -= w * j[m] * r;
-        }
-    }
+    let (a, b) = normal_equations(rows);
     let size = (0..4).map(|k| a[k][k]).fold(0.0, f64::max);
     solve(a, b, 1e-12 * size)
 }

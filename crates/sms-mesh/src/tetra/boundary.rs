@@ -1,6 +1,8 @@
 //! The boundary of a set of tetrahedra as a closed, oriented two-manifold.
 
-use crate::tetra::delaunay::{FACES, NONE, Tetrahedralization};
+use crate::predicates::FACES;
+use crate::tetra::delaunay::{NONE, Tetrahedralization};
+use crate::union_find::{find, unite};
 use sms_core::Mesh;
 use std::collections::BTreeMap;
 
@@ -22,33 +24,33 @@ pub fn boundary(mesh: &Tetrahedralization, inside: &[bool]) -> (Mesh, Vec<u32>) 
             }
         }
     }
+    let corners = |id: usize| {
+        let (t, face) = faces[id];
+        FACES[face as usize].map(|i| mesh.tetrahedra[t as usize][i])
+    };
+    let partner = |id: usize, a: u32, b: u32| {
+        let (t, face) = faces[id];
+        let (t, face) = partner_across(mesh, &is_inside, t, face as usize, a, b);
+        face_id[t as usize][face] as usize
+    };
     // Corner c of face f has slot 3 f + c; slots of the same vertex of the same sheet are united.
     let mut parent: Vec<u32> = (0..faces.len() as u32 * 3).collect();
-    let corner_slot = |face: u32, point: u32, faces: &[(u32, u8)]| -> u32 {
-        let (t, k) = faces[face as usize];
-        let corner = FACES[k as usize].iter().position(|&i| mesh.tetrahedra[t as usize][i] == point);
-        face * 3 + corner.unwrap_or(0) as u32
-    };
-    for (id, &(t, face)) in faces.iter().enumerate() {
-        let corners = FACES[face as usize].map(|i| mesh.tetrahedra[t as usize][i]);
+    let corner_slot =
+        |id: usize, point: u32| (id * 3 + corners(id).iter().position(|&p| p == point).unwrap_or(0)) as u32;
+    for id in 0..faces.len() {
+        let corners = corners(id);
         for k in 0..3 {
             let (a, b) = (corners[k], corners[(k + 1) % 3]);
-            let partner = partner_across(mesh, &is_inside, t, face as usize, a, b);
-            let partner = face_id[partner.0 as usize][partner.1];
-            for point in [a, b] {
-                unite(
-                    &mut parent,
-                    corner_slot(id as u32, point, &faces),
-                    corner_slot(partner, point, &faces),
-                );
-            }
+            let other = partner(id, a, b);
+            unite(&mut parent, corner_slot(id, a), corner_slot(other, a));
+            unite(&mut parent, corner_slot(id, b), corner_slot(other, b));
         }
     }
     let mut vertex_of_root = BTreeMap::new();
     let mut out = Mesh::default();
     let mut source = Vec::new();
-    for (id, &(t, face)) in faces.iter().enumerate() {
-        let corners = FACES[face as usize].map(|i| mesh.tetrahedra[t as usize][i]);
+    for id in 0..faces.len() {
+        let corners = corners(id);
         let triangle = std::array::from_fn(|k| {
             let root = find(&mut parent, id as u32 * 3 + k as u32);
             *vertex_of_root.entry(root).or_insert_with(|| {
@@ -59,11 +61,7 @@ pub fn boundary(mesh: &Tetrahedralization, inside: &[bool]) -> (Mesh, Vec<u32>) 
         });
         out.triangles.push(triangle);
     }
-    split_shared_edges(&mut out, &mut source, |id, a, b| {
-        let (t, face) = faces[id];
-        let (p, q) = partner_across(mesh, &is_inside, t, face as usize, a, b);
-        face_id[p as usize][q] as usize
-    });
+    split_shared_edges(&mut out, &mut source, partner);
     (out, source)
 }
 
@@ -71,12 +69,11 @@ pub fn boundary(mesh: &Tetrahedralization, inside: &[bool]) -> (Mesh, Vec<u32>) 
 fn partner_across(
     mesh: &Tetrahedralization,
     is_inside: &impl Fn(u32) -> bool,
-    t: u32,
+    mut t: u32,
     face: usize,
     a: u32,
     b: u32,
 ) -> (u32, usize) {
-    let mut t = t;
     let mut entered = mesh.tetrahedra[t as usize][face];
     loop {
         let tet = mesh.tetrahedra[t as usize];
@@ -136,19 +133,6 @@ fn split_shared_edges(mesh: &mut Mesh, source: &mut Vec<u32>, partner: impl Fn(u
             mesh.triangles.push([polygon[0], polygon[k], polygon[k + 1]]);
         }
     }
-}
-
-fn find(parent: &mut [u32], mut i: u32) -> u32 {
-    while parent[i as usize] != i {
-        parent[i as usize] = parent[parent[i as usize] as usize];
-        i = parent[i as usize];
-    }
-    i
-}
-
-fn unite(parent: &mut [u32], a: u32, b: u32) {
-    let (a, b) = (find(parent, a), find(parent, b));
-    parent[a.max(b) as usize] = a.min(b);
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 //! cavity star-shaped, even in degenerate cases: grids, cospherical sets and duplicates need no special case and no
 //! perturbation.
 
-use crate::predicates::{collinear, in_sphere, orient};
+use crate::predicates::{FACES, collinear, in_sphere, orient};
 use crate::tetra::hilbert::insertion_order;
 use glamx::DVec3;
 
@@ -15,9 +15,6 @@ pub const NONE: u32 = u32::MAX;
 const GHOST: u32 = u32::MAX;
 /// A freed slot.
 const FREE: [u32; 4] = [u32::MAX; 4];
-
-/// Corners of the face opposite each corner of a tetrahedron, counter-clockwise seen from outside it.
-pub const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
 /// Tetrahedra that fill the convex hull of points, each with an empty circumsphere.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -46,13 +43,18 @@ impl Tetrahedralization {
 
     /// Returns the circumcentre of tetrahedron `t`; `None` if the tetrahedron is too flat for floating-point precision.
     pub fn circumcenter(&self, t: usize) -> Option<DVec3> {
-        let [a, b, c, d] = self.corners(t);
-        let (u, v, w) = (b - a, c - a, d - a);
-        let (uv, vw, wu) = (u.cross(v), v.cross(w), w.cross(u));
-        let offset =
-            (u.length_squared() * vw + v.length_squared() * wu + w.length_squared() * uv) / (2.0 * u.dot(vw));
-        offset.is_finite().then(|| a + offset)
+        let corners = self.corners(t);
+        to_circumcenter(corners).map(|offset| corners[0] + offset)
     }
+}
+
+/// Returns the vector from the first of four points to the centre of their sphere; `None` if they are nearly coplanar.
+pub(crate) fn to_circumcenter([a, b, c, d]: [DVec3; 4]) -> Option<DVec3> {
+    let (u, v, w) = (b - a, c - a, d - a);
+    let (uv, vw, wu) = (u.cross(v), v.cross(w), w.cross(u));
+    let offset =
+        (u.length_squared() * vw + v.length_squared() * wu + w.length_squared() * uv) / (2.0 * u.dot(vw));
+    offset.is_finite().then_some(offset)
 }
 
 /// Returns the Delaunay tetrahedralisation of `points`; it has no tetrahedra when all points are coplanar.
@@ -93,6 +95,7 @@ fn first_simplex(points: &[DVec3], order: &[u32]) -> Option<[u32; 4]> {
     Some(if orient(at(a), at(b), at(c), at(d)) > 0.0 { [a, b, c, d] } else { [b, a, c, d] })
 }
 
+#[derive(Default)]
 struct DelaunayBuilder<'a> {
     points: &'a [DVec3],
     tets: Vec<[u32; 4]>,
@@ -115,15 +118,8 @@ impl<'a> DelaunayBuilder<'a> {
             points,
             tets: Vec::with_capacity(points.len() * 8),
             neighbors: Vec::with_capacity(points.len() * 8),
-            free: Vec::new(),
             mark: vec![0; 5],
-            stamp: 0,
-            last: 0,
-            duplicates: 0,
-            cavity: Vec::new(),
-            stack: Vec::new(),
-            rim: Vec::new(),
-            edges: EdgeTable::default(),
+            ..Self::default()
         };
         builder.tets.push(seed);
         builder.neighbors.push([1, 2, 3, 4]);
@@ -133,19 +129,9 @@ impl<'a> DelaunayBuilder<'a> {
             ghost[i] = GHOST;
             let (x, y) = ((i + 1) % 4, (i + 2) % 4);
             ghost.swap(x, y);
-            let mut across = [0u32; 4];
-            for j in 0..4 {
-                if j != i {
-                    let original = if j == x {
-                        y
-                    } else if j == y {
-                        x
-                    } else {
-                        j
-                    };
-                    across[j] = 1 + original as u32;
-                }
-            }
+            let mut across = [1, 2, 3, 4];
+            across[i] = 0;
+            across.swap(x, y);
             builder.tets.push(ghost);
             builder.neighbors.push(across);
         }
@@ -304,12 +290,8 @@ impl<'a> DelaunayBuilder<'a> {
             .filter(|&t| id[t] != NONE)
             .map(|t| self.neighbors[t].map(|n| id[n as usize]))
             .collect();
-        Tetrahedralization {
-            points: self.points.to_vec(),
-            tetrahedra,
-            neighbors,
-            duplicates: self.duplicates,
-        }
+        let (points, duplicates) = (self.points.to_vec(), self.duplicates);
+        Tetrahedralization { points, tetrahedra, neighbors, duplicates }
     }
 }
 

@@ -9,9 +9,7 @@ const ROUNDS: u32 = 12;
 /// Position along a Hilbert curve of order [`BITS`] (Skilling, "Programming the Hilbert curve", 2004).
 fn hilbert_index(cell: [u32; 3]) -> u64 {
     let mut x = cell;
-    let top = 1u32 << (BITS - 1);
-    let mut q = top;
-    while q > 1 {
+    for q in (1..BITS).rev().map(|bit| 1 << bit) {
         let low = q - 1;
         for i in 0..3 {
             if x[i] & q != 0 {
@@ -22,17 +20,14 @@ fn hilbert_index(cell: [u32; 3]) -> u64 {
                 x[i] ^= swap;
             }
         }
-        q >>= 1;
     }
     x[1] ^= x[0];
     x[2] ^= x[1];
     let mut flip = 0;
-    q = top;
-    while q > 1 {
+    for q in (1..BITS).map(|bit| 1 << bit) {
         if x[2] & q != 0 {
             flip ^= q - 1;
         }
-        q >>= 1;
     }
     for v in &mut x {
         *v ^= flip;

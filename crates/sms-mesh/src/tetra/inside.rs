@@ -1,8 +1,9 @@
 //! Inside rules: selection of the tetrahedra that form the solid.
 
 use crate::point_grid::PointGrid;
+use crate::predicates::FACES;
 use crate::statistics::median;
-use crate::tetra::delaunay::{FACES, NONE, Tetrahedralization};
+use crate::tetra::delaunay::{NONE, Tetrahedralization};
 use crate::tetra::maxflow::FlowNetwork;
 use glamx::DVec3;
 

@@ -6,6 +6,8 @@ mod hilbert;
 mod inside;
 mod maxflow;
 
+pub use crate::predicates::FACES;
 pub use boundary::boundary;
-pub use delaunay::{FACES, NONE, Tetrahedralization, delaunay};
+pub(crate) use delaunay::to_circumcenter;
+pub use delaunay::{NONE, Tetrahedralization, delaunay};
 pub use inside::{cut, largest_component, normal_votes, prune};
