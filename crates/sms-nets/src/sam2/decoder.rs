@@ -231,35 +231,21 @@ impl MaskDecoder {
     }
 }
 
-/// The selected mask.
-#[derive(Debug, Clone)]
-pub(crate) struct SelectedMask {
-    /// Row of [`Decoded::masks`].
-    pub(crate) mask: usize,
-    /// Row of [`Decoded::tokens`] that becomes the object pointer.
-    pub(crate) token: usize,
-}
-
 impl Decoded {
-    /// Selects on a prompted frame: the single mask if it is stable, else the best of the others. The pointer always
-    /// comes from the single mask.
-    pub(crate) fn single(&self, config: &DecoderConfig) -> Result<SelectedMask> {
+    /// Selects a row of [`Decoded::masks`] on a prompted frame: the single mask if it is stable, else the best of the
+    /// others.
+    pub(crate) fn single(&self, config: &DecoderConfig) -> Result<usize> {
         let logits = self.masks.get(0)?.to_vec1::<f32>()?;
         let delta = config.dynamic_multimask_stability_delta;
         let above = |limit: f32| logits.iter().filter(|&&l| l > limit).count();
         let (inner, outer) = (above(delta), above(-delta));
         let stability = if outer > 0 { inner as f64 / outer as f64 } else { 1.0 };
         let is_stable = stability >= config.dynamic_multimask_stability_thresh;
-        Ok(SelectedMask { mask: if is_stable { 0 } else { self.best() }, token: 0 })
+        Ok(if is_stable { 0 } else { self.best_of_three() })
     }
 
-    /// Selects on a tracked frame: the best of the three.
-    pub(crate) fn best_of_three(&self) -> SelectedMask {
-        SelectedMask { mask: self.best(), token: self.best() }
-    }
-
-    /// Returns the best of the masks other than the single one (the first of equals).
-    fn best(&self) -> usize {
+    /// Returns the row of the best mask other than the single one (the first of equals).
+    pub(crate) fn best_of_three(&self) -> usize {
         (1..self.iou.len()).fold(1, |best, i| if self.iou[i] > self.iou[best] { i } else { best })
     }
 }
