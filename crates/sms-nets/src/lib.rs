@@ -17,6 +17,7 @@
 //! assert_eq!(kept.iter().map(|d| d.score).collect::<Vec<_>>(), [0.8, 0.5]);
 //! ```
 
+mod attention;
 mod carry;
 mod error;
 mod kernels;

@@ -9,6 +9,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
+/// A part of a network, read from its weights.
+pub(crate) type Loaded<T> = Result<T, NetsError>;
+
 /// Names and shapes of the requested parameters.
 pub type Shapes = BTreeMap<String, Vec<usize>>;
 
@@ -34,7 +37,7 @@ impl Weights {
     /// # Errors
     /// [`NetsError::Input`] if the file is not a safetensors file or is cut off, [`NetsError::Core`] if it cannot
     /// be read.
-    pub fn open(path: &Path, device: &Device) -> Result<Self, NetsError> {
+    pub fn open(path: &Path, device: &Device) -> Loaded<Self> {
         Ok(Self::from(WeightsSource::File(Arc::new(SafetensorsFile::open(path)?)), device))
     }
 
@@ -73,7 +76,7 @@ impl Weights {
     /// # Errors
     /// [`NetsError::Input`] if the file lacks the parameter, or the parameter has another shape (as in the weights of
     /// another model).
-    pub fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor, NetsError> {
+    pub fn tensor(&self, name: &str, shape: &[usize]) -> Loaded<Tensor> {
         let name = format!("{}{name}", self.prefix);
         if let Ok(mut requested) = self.requested.lock() {
             requested.insert(name.clone(), shape.to_vec());
@@ -92,7 +95,7 @@ impl Weights {
     ///
     /// # Errors
     /// As [`Weights::tensor`].
-    pub fn tensor_or(&self, name: &str, shape: &[usize], other: &Tensor) -> Result<Tensor, NetsError> {
+    pub fn tensor_or(&self, name: &str, shape: &[usize], other: &Tensor) -> Loaded<Tensor> {
         let full = format!("{}{name}", self.prefix);
         match &self.source {
             WeightsSource::File(file) if !file.holds(&full) => Ok(other.clone()),
@@ -101,30 +104,30 @@ impl Weights {
     }
 
     /// A fully connected layer with a bias.
-    pub(crate) fn linear(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear, NetsError> {
+    pub(crate) fn linear(&self, name: &str, inputs: usize, outputs: usize) -> Loaded<Linear> {
         let at = self.at(name);
         Ok(Linear::new(at.tensor("weight", &[outputs, inputs])?, Some(at.tensor("bias", &[outputs])?)))
     }
 
     /// A fully connected layer without a bias.
-    pub(crate) fn linear_no_bias(
-        &self,
-        name: &str,
-        inputs: usize,
-        outputs: usize,
-    ) -> Result<Linear, NetsError> {
+    pub(crate) fn linear_no_bias(&self, name: &str, inputs: usize, outputs: usize) -> Loaded<Linear> {
         Ok(Linear::new(self.at(name).tensor("weight", &[outputs, inputs])?, None))
     }
 
     /// A 1 × 1 convolution, as an equivalent fully connected layer over channels.
-    pub(crate) fn pointwise(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear, NetsError> {
+    pub(crate) fn pointwise(&self, name: &str, inputs: usize, outputs: usize) -> Loaded<Linear> {
         let at = self.at(name);
         let weight = at.tensor("weight", &[outputs, inputs, 1, 1])?.reshape((outputs, inputs))?;
         Ok(Linear::new(weight, Some(at.tensor("bias", &[outputs])?)))
     }
 
+    /// Two fully connected layers with biases: `size` channels to `inner` and back.
+    pub(crate) fn feed_forward(&self, names: [&str; 2], size: usize, inner: usize) -> Loaded<Vec<Linear>> {
+        Ok(vec![self.linear(names[0], size, inner)?, self.linear(names[1], inner, size)?])
+    }
+
     /// A layer normalisation.
-    pub(crate) fn layer_norm(&self, name: &str, size: usize, eps: f64) -> Result<LayerNorm, NetsError> {
+    pub(crate) fn layer_norm(&self, name: &str, size: usize, eps: f64) -> Loaded<LayerNorm> {
         let at = self.at(name);
         Ok(LayerNorm::new(at.tensor("weight", &[size])?, at.tensor("bias", &[size])?, eps))
     }

@@ -5,11 +5,10 @@ use super::decoder::{Decoded, MaskDecoder, feed_forward};
 use super::encoder::{Encoder, ImageFeatures};
 use super::memory::{MemoryAttention, MemoryEncoder};
 use super::prompt::{PromptEncoder, grid_positions};
-use crate::kernels::Activation;
-use crate::kernels::resize_bilinear;
+use crate::kernels::{Activation, resize_bilinear};
 use crate::ops::{Linear, TensorObserver, mlp};
 use crate::owlv2::PixelBox;
-use crate::{NetsError, Weights};
+use crate::weights::{Loaded, Weights};
 use candle_core::{Device, Result, Tensor};
 
 /// Logit of masks of absent objects.
@@ -66,8 +65,8 @@ impl Sam2 {
     /// Builds the model of `config` with these weights.
     ///
     /// # Errors
-    /// [`NetsError::Input`] if the weights belong to another model.
-    pub fn new(config: &Sam2Config, weights: &Weights) -> std::result::Result<Self, NetsError> {
+    /// [`crate::NetsError::Input`] if the weights belong to another model.
+    pub fn new(config: &Sam2Config, weights: &Weights) -> Loaded<Self> {
         let (c, memory) = (config.hidden(), config.memory_encoder_output_channels);
         let shared = weights.tensor("shared_image_embedding.positional_embedding", &[2, c / 2])?;
         // Box prompts do not use these tensors; reading them detects files without them.
