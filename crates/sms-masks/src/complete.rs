@@ -1,6 +1,6 @@
 //! Corrections for masks of every source except the truth.
 
-use crate::refine::{DEFAULT_NEIGHBORS, scaled_margin_px};
+use crate::refine::scaled_margin_px;
 use crate::{GeometryConfig, MasksError, add_unknown, refine_edges};
 use sms_core::{Cancel, Labels, MaskSource, Progress};
 use sms_frames::Sequence;
@@ -22,7 +22,7 @@ pub struct Completed {
 /// # Errors
 /// As [`refine_edges`] and [`add_unknown`].
 pub fn complete(
-    labels: Labels,
+    mut labels: Labels,
     sequence: &Sequence,
     config: &GeometryConfig,
     progress: &dyn Progress,
@@ -33,11 +33,9 @@ pub fn complete(
     if labels.source == MaskSource::Truth {
         return Ok((labels, done));
     }
-    let mut labels = labels;
     if config.refine_edges {
         cancel.check()?;
-        let margin_px = scaled_margin_px(first.depth.width);
-        let refined = refine_edges(&labels, sequence, margin_px, DEFAULT_NEIGHBORS)?;
+        let refined = refine_edges(&labels, sequence, scaled_margin_px(first.depth.width))?;
         let pairs = labels.maps.iter().zip(&refined.maps);
         let moved = pairs.map(|(a, b)| a.data.iter().zip(&b.data).filter(|(a, b)| a != b).count()).sum();
         done.moved_pixels = Some(moved);

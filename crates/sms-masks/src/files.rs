@@ -26,15 +26,15 @@ pub struct FileMasks {
     pub dir: Option<PathBuf>,
 }
 
-/// The fields used of `objects.json`; it may contain others.
+/// The fields used of `objects.json` and of `truth/truth.json`; both may contain others.
 #[derive(Debug, Deserialize)]
-struct MaskObjectsFile {
-    objects: Vec<MaskObject>,
+pub(crate) struct ObjectsFile {
+    pub(crate) objects: Vec<MaskObject>,
 }
 
 #[derive(Debug, Deserialize)]
-struct MaskObject {
-    name: String,
+pub(crate) struct MaskObject {
+    pub(crate) name: String,
     #[serde(default)]
     description: String,
     mask_value: Option<u16>,
@@ -43,27 +43,27 @@ struct MaskObject {
 impl FileMasks {
     fn path_of(&self, frame: &Frame) -> Result<PathBuf, InputError> {
         if let Some(dir) = &self.dir {
-            let stem = frame.color_path.file_stem().map(|s| dir.join(s).with_extension("png"));
-            let by_index = dir.join(format!("{:06}.png", frame.index));
-            return [stem, Some(by_index)].into_iter().flatten().find(|p| p.is_file()).ok_or_else(|| {
-                InputError::new(
-                    format!("there are fewer masks than frames: frame {} has none", frame.index),
-                    dir,
-                    "add one label PNG per frame, named like the colour image, or use `--masks geometry`",
-                )
-            });
+            let what = || format!("there are fewer masks than frames: frame {} has none", frame.index);
+            let cure = "add one label PNG per frame, named like the colour image, or use `--masks geometry`";
+            let path = Some(mask_in(dir, frame)).filter(|path| path.is_file());
+            return path.ok_or_else(|| InputError::new(what(), dir, cure));
         }
         frame.mask_path.clone().ok_or_else(|| {
-            InputError::new(
-                format!(
-                    "there are fewer masks than frames: the recording names none for frame {}",
-                    frame.index
-                ),
-                &frame.color_path,
-                "add `mask_path` to every frame, give a folder of label images, or use `--masks geometry`",
-            )
+            let index = frame.index;
+            let what =
+                format!("there are fewer masks than frames: the recording names none for frame {index}");
+            let cure =
+                "add `mask_path` to every frame, give a folder of label images, or use `--masks geometry`";
+            InputError::new(what, &frame.color_path, cure)
         })
     }
+}
+
+/// Returns the mask of a frame in a folder: named like the colour image if there is such a file (a sequence with omitted
+/// frames keeps the recording's file names), else by the frame's index.
+pub(crate) fn mask_in(dir: &Path, frame: &Frame) -> PathBuf {
+    let stem = frame.color_path.file_stem().map(|s| dir.join(s).with_extension("png"));
+    stem.filter(|p| p.is_file()).unwrap_or_else(|| dir.join(format!("{:06}.png", frame.index)))
 }
 
 impl Segmenter for FileMasks {
@@ -94,14 +94,11 @@ pub(crate) fn read_maps(
     for (frame, path) in sequence.frames.iter().zip(paths) {
         cancel.check()?;
         let image = read_png_labels(path)?;
-        let values = values_in([&image]).into_iter().filter(|is_there| *is_there).count();
+        let values = value_count([&image]);
         if values > MOST_OBJECTS {
-            return Err(InputError::new(
-                format!("this mask has {values} different values, more than a label image of objects"),
-                path,
-                "give label images, with one value for each object; this may be a depth image",
-            )
-            .into());
+            let what = format!("this mask has {values} different values, more than a label image of objects");
+            let cure = "give label images, with one value for each object; this may be a depth image";
+            return Err(InputError::new(what, path, cure).into());
         }
         let first = *native.get_or_insert(image.size());
         if image.size() != first {
@@ -113,14 +110,12 @@ pub(crate) fn read_maps(
         maps.push(resample_nearest(&image, frame.depth.size()));
         progress.update(maps.len() as u64, "");
     }
-    let values = values_in(&maps).into_iter().filter(|is_there| *is_there).count();
+    let values = value_count(&maps);
     if let (true, Some(first)) = (values > MOST_OBJECTS, paths.first()) {
-        return Err(InputError::new(
-            format!("the masks of this sequence have {values} different values, few of them in each frame"),
-            first.parent().unwrap_or(first),
-            "give an object the same value in all frames: these seem to be renumbered in each frame",
-        )
-        .into());
+        let what =
+            format!("the masks of this sequence have {values} different values, few of them in each frame");
+        let cure = "give an object the same value in all frames: these seem to be renumbered in each frame";
+        return Err(InputError::new(what, first.parent().unwrap_or(first), cure).into());
     }
     progress.end(&format!("{} masks", maps.len()));
     Ok(maps)
@@ -134,15 +129,14 @@ fn values_in<'a>(images: impl IntoIterator<Item = &'a LabelMap>) -> Vec<bool> {
     seen
 }
 
-fn wrong_size(path: &Path, have: (usize, usize), want: (usize, usize), reference: &str) -> InputError {
-    InputError::new(
-        format!(
-            "this mask is {}×{} pixels, which does not fit {reference} ({}×{})",
-            have.0, have.1, want.0, want.1
-        ),
-        path,
-        "export the masks at the size of the recording's colour images, uncropped",
-    )
+/// Returns the number of values in images, without the background's.
+fn value_count<'a>(images: impl IntoIterator<Item = &'a LabelMap>) -> usize {
+    values_in(images).into_iter().filter(|is_there| *is_there).count()
+}
+
+fn wrong_size(path: &Path, (w, h): (usize, usize), want: (usize, usize), reference: &str) -> InputError {
+    let what = format!("this mask is {w}×{h} pixels, which does not fit {reference} ({}×{})", want.0, want.1);
+    InputError::new(what, path, "export the masks at the size of the recording's colour images, uncropped")
 }
 
 /// Returns whether an image can show the same view at another size: its aspect ratio is equal within the rounding to
@@ -174,27 +168,22 @@ fn read_objects(source: &Path, warnings: &Warnings) -> Result<BTreeMap<u16, Labe
     if !path.is_file() {
         return Ok(BTreeMap::new());
     }
-    let file: MaskObjectsFile = atomic::read_json(&path)?;
+    let file: ObjectsFile = atomic::read_json(&path)?;
     let mut taken = Vec::new();
     let mut named = BTreeMap::new();
     for object in file.objects {
         let Some(value) = object.mask_value else { continue };
         if value == BACKGROUND || named.contains_key(&value) {
-            return Err(InputError::new(
-                format!("the mask value {value} of `{}` is 0 (the background) or used twice", object.name),
-                &path,
-                "give every object its own mask value, at least 1",
-            )
-            .into());
+            let name = object.name;
+            let what = format!("the mask value {value} of `{name}` is 0 (the background) or used twice");
+            return Err(
+                InputError::new(what, &path, "give every object its own mask value, at least 1").into()
+            );
         }
         let name = unique(file_name(&object.name), &taken);
         if name != object.name {
-            warnings.add(
-                STAGE,
-                "renamed",
-                format!("the object `{}` was renamed to `{name}`", object.name),
-                "names must be unique and usable as file names",
-            );
+            let message = format!("the object `{}` was renamed to `{name}`", object.name);
+            warnings.add(STAGE, "renamed", message, "names must be unique and usable as file names");
         }
         taken.push(name.clone());
         let description =
@@ -226,12 +215,8 @@ pub(crate) fn number_labels(
         objects.push(LabelInfo { id, ..info });
     }
     for object in named.values().filter(|o| !seen[usize::from(o.id)]) {
-        warnings.add(
-            STAGE,
-            "unseen_object",
-            format!("the object `{}` occurs in no mask", object.name),
-            "check its `mask_value` in objects.json",
-        );
+        let message = format!("the object `{}` occurs in no mask", object.name);
+        warnings.add(STAGE, "unseen_object", message, "check its `mask_value` in objects.json");
     }
     for value in maps.iter_mut().flat_map(|m| &mut m.data) {
         *value = new_id[usize::from(*value)];

@@ -44,6 +44,7 @@ pub use complete::{Completed, complete};
 pub use error::MasksError;
 pub use files::FileMasks;
 pub use geometry::{GeometryConfig, GeometryMasks};
+pub use names::{file_name, unique};
 pub use palette::label_color;
 pub use refine::refine_edges;
 pub use sms_core::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};

@@ -2,7 +2,7 @@
 
 /// Converts free text to a file name: ASCII letters and digits in lower case, everything else as single underscores;
 /// never empty and at most 48 characters.
-pub(crate) fn file_name(text: &str) -> String {
+pub fn file_name(text: &str) -> String {
     let mut name = String::new();
     for c in text.chars() {
         if c.is_ascii_alphanumeric() {
@@ -20,7 +20,7 @@ pub(crate) fn file_name(text: &str) -> String {
 const RESERVED: [&str; 3] = ["floor", "environment", "world"];
 
 /// Appends `_2`, `_3`, … until the name is neither reserved nor among `taken`.
-pub(crate) fn unique(name: String, taken: &[String]) -> String {
+pub fn unique(name: String, taken: &[String]) -> String {
     let is_free = |n: &String| !taken.contains(n) && !RESERVED.contains(&n.as_str());
     if is_free(&name) {
         return name;

@@ -12,7 +12,7 @@ use std::num::NonZeroUsize;
 /// Margin of the paper, in pixels of an image 1280 wide; see [`scaled_margin_px`].
 const DEFAULT_MARGIN_PX: f64 = 5.0;
 /// Number of voting neighbours.
-pub(crate) const DEFAULT_NEIGHBORS: usize = 12;
+const NEIGHBORS: NonZeroUsize = NonZeroUsize::new(12).unwrap();
 
 /// Voters are thinned to one per label and cell of this size, so that close frames do not outvote distant ones.
 const CELL_M: f64 = 0.003;
@@ -44,7 +44,7 @@ struct Voter {
     color: [f32; 3],
 }
 
-/// Relabels every pixel with depth within `margin_px` pixels of a mask edge by a vote of its `k` nearest neighbours in
+/// Relabels every pixel with depth within `margin_px` pixels of a mask edge by a vote of its 12 nearest neighbours in
 /// the cloud back-projected from all frames. A vote has the inverse of the distance as its weight. Pixels within the
 /// margin of their own frame's edges vote with a tenth of the weight. In addition to the paper's method, voters with
 /// the pixel's colour count more than others. This preserves correct masks where depth is wrong at a silhouette.
@@ -52,26 +52,16 @@ struct Voter {
 /// Pixels without depth keep their label. Labels, names and sizes remain unchanged.
 ///
 /// # Errors
-/// [`MasksError::Input`] if labels and sequence differ in frames or sizes, or `k` is 0.
-pub fn refine_edges(
-    labels: &Labels,
-    sequence: &Sequence,
-    margin_px: usize,
-    k: usize,
-) -> Result<Labels, MasksError> {
+/// [`MasksError::Input`] if labels and sequence differ in frames or sizes.
+pub fn refine_edges(labels: &Labels, sequence: &Sequence, margin_px: usize) -> Result<Labels, MasksError> {
     let same = labels.maps.len() == sequence.len()
         && labels.maps.iter().zip(&sequence.frames).all(|(m, f)| m.size() == f.depth.size());
     if !same {
-        return Err(InputError::new(
-            format!("{} masks do not fit the {} frames in number or size", labels.maps.len(), sequence.len()),
-            &sequence.source,
-            "make the masks again from this sequence",
-        )
-        .into());
+        let (maps, frames) = (labels.maps.len(), sequence.len());
+        let what = format!("{maps} masks do not fit the {frames} frames in number or size");
+        let cure = "make the masks again from this sequence";
+        return Err(InputError::new(what, &sequence.source, cure).into());
     }
-    let k = NonZeroUsize::new(k).ok_or_else(|| {
-        InputError::new("the number of voting neighbours is 0", "masks.edge_neighbors", "use at least 1")
-    })?;
     let margins: Vec<Vec<bool>> = labels.maps.par_iter().map(|map| margin(map, margin_px)).collect();
     let per_frame: Vec<Vec<Voter>> = (0..sequence.len())
         .into_par_iter()
@@ -94,7 +84,7 @@ pub fn refine_edges(
                     continue;
                 }
                 let p_w = frame.camera.unproject_pixel(pixel % width, pixel / width, z);
-                let near = tree.nearest_n::<SquaredEuclidean>(&p_w.to_array(), k);
+                let near = tree.nearest_n::<SquaredEuclidean>(&p_w.to_array(), NEIGHBORS);
                 *value = vote(
                     near.iter().map(|n| (&cloud[n.item as usize], n.distance)),
                     *value,
@@ -233,7 +223,7 @@ mod tests {
         let (sequence, truth) = scene(&solids, Sensor { frames: 10, ..Sensor::default() }, 3);
         let wrong = truth.iter().enumerate().map(|(i, m)| corrupt(m, i, 2)).collect();
         let before = truth_labels(wrong, solids.len() as u16);
-        let after = refine_edges(&before, &sequence, 3, DEFAULT_NEIGHBORS).unwrap();
+        let after = refine_edges(&before, &sequence, 3).unwrap();
         for value in 1..=solids.len() as u16 {
             let (b, a) = (best_iou(&truth, value, &before).0, best_iou(&truth, value, &after).0);
             println!("solid {value}: IoU {b:.3} before, {a:.3} after");
@@ -248,7 +238,7 @@ mod tests {
             scene(&solids, Sensor { frames: 10, size: (640, 400), ..Sensor::default() }, 3);
         let wrong = truth.iter().enumerate().map(|(i, m)| corrupt(m, i, 5)).collect();
         let before = truth_labels(wrong, solids.len() as u16);
-        let after = refine_edges(&before, &sequence, 6, DEFAULT_NEIGHBORS).unwrap();
+        let after = refine_edges(&before, &sequence, 6).unwrap();
         let (b, a) = (mean_iou(&truth, &before), mean_iou(&truth, &after));
         println!("mean IoU {b:.3} before, {a:.3} after");
         assert!(b < 0.75 && a > 0.9, "{b:.3} -> {a:.3}");
@@ -265,7 +255,7 @@ mod tests {
         for (what, frame) in [("grown", 1), ("shrunk", 0)] {
             let wrong = truth.iter().map(|m| corrupt(m, frame, 5)).collect();
             let before = truth_labels(wrong, solids.len() as u16);
-            let after = refine_edges(&before, &sequence, margin_px, DEFAULT_NEIGHBORS).unwrap();
+            let after = refine_edges(&before, &sequence, margin_px).unwrap();
             let (b, a) = (mean_iou(&truth, &before), mean_iou(&truth, &after));
             println!("{what}: mean IoU {b:.3} before, {a:.3} after");
             assert!(b < 0.75 && a > b + 0.4 * (1.0 - b), "{what}: {b:.3} -> {a:.3}");
@@ -278,7 +268,7 @@ mod tests {
         let (sequence, truth) = scene(&solids, Sensor { frames: 6, ..Sensor::default() }, 4);
         let before = truth_labels(truth.clone(), solids.len() as u16);
         let margin_px = scaled_margin_px(320);
-        let after = refine_edges(&before, &sequence, margin_px, DEFAULT_NEIGHBORS).unwrap();
+        let after = refine_edges(&before, &sequence, margin_px).unwrap();
         for value in 1..=solids.len() as u16 {
             let iou = best_iou(&truth, value, &after).0;
             assert!(iou > 0.93, "solid {value}: {iou:.3}");
@@ -289,7 +279,7 @@ mod tests {
                 assert_eq!(map.data[i], refined.data[i]);
             }
         }
-        assert_eq!(refine_edges(&before, &sequence, 0, 5).unwrap(), before);
+        assert_eq!(refine_edges(&before, &sequence, 0).unwrap(), before);
     }
 
     #[test]
@@ -310,8 +300,6 @@ mod tests {
     fn mismatched_input_is_refused() {
         let (sequence, truth) = scene(&[], Sensor { frames: 2, size: (8, 6), ..Sensor::default() }, 1);
         let labels = truth_labels(truth[..1].to_vec(), 0);
-        assert!(matches!(refine_edges(&labels, &sequence, 1, 5), Err(MasksError::Input(_))));
-        let labels = truth_labels(truth, 0);
-        assert!(matches!(refine_edges(&labels, &sequence, 1, 0), Err(MasksError::Input(_))));
+        assert!(matches!(refine_edges(&labels, &sequence, 1), Err(MasksError::Input(_))));
     }
 }

@@ -4,7 +4,8 @@ use crate::MasksError;
 use crate::names::is_usable;
 use serde::{Deserialize, Serialize};
 use sms_core::{
-    BACKGROUND, InputError, LabelInfo, Labels, MaskSource, atomic, read_png_labels, write_png_gray16,
+    BACKGROUND, InputError, LabelInfo, LabelMap, Labels, MaskSource, atomic, read_png_labels,
+    write_png_gray16,
 };
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -38,17 +39,12 @@ pub fn save_labels(dir: &Path, labels: &Labels) -> Result<(), MasksError> {
     for (index, map) in labels.maps.iter().enumerate() {
         write_png_gray16(&dir.join(format!("{index:06}.png")), map)?;
     }
-    let row = |o: &LabelInfo| ObjectRow {
-        id: o.id,
-        name: o.name.clone(),
-        description: o.description.clone(),
-        merge_into: None,
+    let row = |o: &LabelInfo| {
+        let LabelInfo { id, name, description } = o.clone();
+        ObjectRow { id, name, description, merge_into: None }
     };
-    let file = LabelsFile {
-        source: labels.source,
-        frames: labels.maps.len(),
-        objects: labels.objects.iter().map(row).collect(),
-    };
+    let objects = labels.objects.iter().map(row).collect();
+    let file = LabelsFile { source: labels.source, frames: labels.maps.len(), objects };
     // The index is written last: a folder with `labels.json` is complete.
     atomic::write_json(&dir.join("labels.json"), &file)?;
     Ok(())
@@ -70,16 +66,13 @@ pub fn load_labels(dir: &Path) -> Result<Labels, MasksError> {
     for index in 0..file.frames {
         let path = dir.join(format!("{index:06}.png"));
         let mut map = read_png_labels(&path)?;
-        if maps.first().is_some_and(|first: &sms_core::LabelMap| first.size() != map.size()) {
+        if maps.first().is_some_and(|first: &LabelMap| first.size() != map.size()) {
             return Err(InputError::new("this mask differs in size from the first", &path, CURE).into());
         }
         for value in map.data.iter_mut().filter(|v| **v != BACKGROUND) {
             *value = *targets.get(value).ok_or_else(|| {
-                InputError::new(
-                    format!("this mask contains the value {value}, which labels.json does not list"),
-                    &path,
-                    CURE,
-                )
+                let what = format!("this mask contains the value {value}, which labels.json does not list");
+                InputError::new(what, &path, CURE)
             })?;
         }
         maps.push(map);

@@ -1,9 +1,8 @@
 //! The truth of a generated recording.
 
-use crate::files::{number_labels, read_maps};
+use crate::files::{ObjectsFile, mask_in, number_labels, read_maps};
 use crate::names::{file_name, unique};
 use crate::{MasksError, Segmenter};
-use serde::Deserialize;
 use sms_core::{InputError, LabelInfo, Labels, MaskSource, StageContext, atomic};
 use sms_frames::Sequence;
 use std::collections::BTreeMap;
@@ -13,17 +12,6 @@ use std::path::PathBuf;
 /// `objects`). For ablations only: the labels are marked as the truth ([`MaskSource::Truth`]).
 #[derive(Debug, Clone, Default)]
 pub struct TruthMasks;
-
-/// The fields used of `truth/truth.json`.
-#[derive(Debug, Deserialize)]
-struct TruthNames {
-    objects: Vec<TruthName>,
-}
-
-#[derive(Debug, Deserialize)]
-struct TruthName {
-    name: String,
-}
 
 impl Segmenter for TruthMasks {
     fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError> {
@@ -38,7 +26,7 @@ impl Segmenter for TruthMasks {
             )
             .into());
         }
-        let truth: TruthNames = atomic::read_json(&path)?;
+        let truth: ObjectsFile = atomic::read_json(&path)?;
         let mut taken = Vec::new();
         let mut named = BTreeMap::new();
         for (index, object) in truth.objects.iter().enumerate() {
@@ -47,18 +35,8 @@ impl Segmenter for TruthMasks {
             let id = index as u16 + 1;
             named.insert(id, LabelInfo { id, name, description: String::new() });
         }
-        let paths: Vec<PathBuf> = sequence
-            .frames
-            .iter()
-            .map(|frame| {
-                let by_index = folder.join(format!("masks/{:06}.png", frame.index));
-                // A sequence with omitted frames keeps the recording's file names.
-                let stem = frame.color_path.file_stem();
-                stem.map(|s| folder.join("masks").join(s).with_extension("png"))
-                    .filter(|p| p.is_file())
-                    .unwrap_or(by_index)
-            })
-            .collect();
+        let masks = folder.join("masks");
+        let paths: Vec<PathBuf> = sequence.frames.iter().map(|frame| mask_in(&masks, frame)).collect();
         if let Some(missing) = paths.iter().find(|p| !p.is_file()) {
             return Err(
                 InputError::new("a truth mask is missing", missing, "generate the recording again").into()

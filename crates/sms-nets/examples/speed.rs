@@ -3,10 +3,13 @@
 //! `benches/peers/nets.py` compares it with PyTorch's. On a GPU the clock is read after synchronization, and the
 //! first repeats load its kernels.
 
+#[path = "../tests/it/random.rs"]
+mod random;
+
 use candle_core::{Device, Tensor};
 use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox};
 use sms_nets::sam2::{Sam2, Sam2Config, Tracker};
-use sms_nets::{NetsError, TensorObserver, Weights};
+use sms_nets::{NetsError, TensorObserver};
 use std::time::Instant;
 
 /// Returns the CPU seconds of all threads so far, if available (Linux); else 0.
@@ -44,7 +47,7 @@ fn main() -> Result<(), NetsError> {
         let values = (0..3 * side * side).map(|i| ((i * (seed + 7) % 1013) as f32 / 506.0) - 1.0).collect();
         Tensor::from_vec(values, (1, 3, side, side), &device)
     };
-    let weights = Weights::random(1, &device);
+    let weights = random::random_weights(1, &device);
     let (mut seconds, mut cpu_used) = (Vec::new(), Vec::new());
     match what.as_str() {
         "owlv2" => {

@@ -17,6 +17,7 @@
 //! assert_eq!(kept.iter().map(|d| d.score).collect::<Vec<_>>(), [0.8, 0.5]);
 //! ```
 
+mod attention;
 mod carry;
 mod error;
 mod kernels;
@@ -34,6 +35,5 @@ pub use candle_core::Device;
 pub use error::NetsError;
 pub use objects::{NamedBox, foreign, parse_objects};
 pub use ops::TensorObserver;
-pub use safetensors::SafetensorsFile;
 pub use segmenter::{DetectedObject, ModelFolders, NetsConfig, NetsMasks, Track};
-pub use weights::{Shapes, Weights};
+pub use weights::{Weights, WeightsSource};

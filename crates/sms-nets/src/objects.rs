@@ -3,42 +3,17 @@
 use crate::NetsError;
 use crate::owlv2::PixelBox;
 use sms_core::{InputError, LabelInfo};
+use sms_masks::{file_name, unique};
 
 /// Default queries: objects found on tables.
-pub(crate) const HOUSEHOLD: [&str; 32] = [
-    "mug",
-    "cup",
-    "glass",
-    "bottle",
-    "can",
-    "bowl",
-    "plate",
-    "jar",
-    "box",
-    "carton",
-    "book",
-    "ball",
-    "toy",
-    "stuffed animal",
-    "figurine",
-    "tool",
-    "pen",
-    "scissors",
-    "remote control",
-    "phone",
-    "keyboard",
-    "mouse",
-    "lamp",
-    "vase",
-    "candle",
-    "fruit",
-    "shoe",
-    "bag",
-    "basket",
-    "tray",
-    "stool",
-    "plank",
-];
+const HOUSEHOLD: &str = "mug, cup, glass, bottle, can, bowl, plate, jar, box, carton, book, ball, toy, stuffed animal, \
+    figurine, tool, pen, scissors, remote control, phone, keyboard, mouse, lamp, vase, candle, fruit, shoe, bag, basket, \
+    tray, stool, plank";
+
+/// Returns the default queries.
+pub(crate) fn household() -> Vec<String> {
+    HOUSEHOLD.split(", ").map(str::to_owned).collect()
+}
 
 /// Parses a list of queries such as `mug, toy duck`: blanks are trimmed, empty and repeated ones dropped.
 ///
@@ -109,27 +84,13 @@ impl std::str::FromStr for NamedBox {
 /// `descriptions`.
 pub(crate) fn label_infos(descriptions: &[String]) -> Vec<LabelInfo> {
     let mut infos: Vec<LabelInfo> = Vec::new();
+    let mut taken = Vec::new();
     for (i, description) in descriptions.iter().enumerate() {
-        let mut base = String::new();
-        for c in description.chars() {
-            if c.is_ascii_alphanumeric() {
-                base.push(c.to_ascii_lowercase());
-            } else if !base.is_empty() && !base.ends_with('_') {
-                base.push('_');
-            }
-        }
-        base.truncate(48);
-        let base = match base.trim_end_matches('_') {
-            "" => "object".to_owned(),
-            // Names of bodies that every scene may have besides its objects.
-            reserved @ ("floor" | "environment" | "world") => format!("{reserved}_object"),
-            base => base.to_owned(),
-        };
-        let is_free = |name: &String| infos.iter().all(|o| o.name != *name);
-        let name = std::iter::once(base.clone())
-            .chain((2..).map(|n| format!("{base}_{n}")))
-            .find(is_free)
-            .unwrap_or(base);
+        let name = file_name(description);
+        // Names of bodies that every scene may have besides its objects.
+        let is_reserved = ["floor", "environment", "world"].contains(&name.as_str());
+        let name = unique(if is_reserved { format!("{name}_object") } else { name }, &taken);
+        taken.push(name.clone());
         infos.push(LabelInfo { id: i as u16 + 1, name, description: description.clone() });
     }
     infos
@@ -155,8 +116,8 @@ mod tests {
         for (text, word) in [
             ("10,20,30,40", "names no object"),
             ("mug=1,2,3", "3 numbers"),
-            ("mug=1,2,x,4", "1,2,x,4"),
-            ("mug=1,2,NaN,4", "1,2,NaN,4"),
+            ("mug=1,2,x,4", "not numbers"),
+            ("mug=1,2,NaN,4", "not numbers"),
             ("mug=5,2,3,4", "no area"),
             ("=1,2,3,4", "names no object"),
         ] {

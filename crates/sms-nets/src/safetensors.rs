@@ -4,6 +4,7 @@
 //! bytes. Files come from a download or from the user, so all of their contents are checked.
 
 use crate::NetsError;
+use crate::weights::WeightsSource;
 use candle_core::{DType, Device, Tensor};
 use serde::Deserialize;
 use sms_core::{CoreError, InputError};
@@ -18,7 +19,7 @@ const MAX_HEADER_BYTES: u64 = 100 << 20;
 
 /// An open file and the places of its tensors.
 #[derive(Debug)]
-pub struct SafetensorsFile {
+pub(crate) struct SafetensorsFile {
     path: PathBuf,
     file: Mutex<File>,
     entries: BTreeMap<String, TensorEntry>,
@@ -39,8 +40,9 @@ impl SafetensorsFile {
     ///
     /// # Errors
     /// [`NetsError::Input`] if it has another format or is cut off, [`NetsError::Core`] if it cannot be read.
-    pub fn open(path: &Path) -> Result<Self, NetsError> {
+    pub(crate) fn open(path: &Path) -> Result<Self, NetsError> {
         let broken = |what: &str| InputError::new(what, path, DOWNLOAD_AGAIN);
+        let damaged = || broken("the header of this weight file is damaged");
         let mut file = File::open(path).map_err(CoreError::read(path))?;
         let length = file.metadata().map_err(CoreError::read(path))?.len();
         let mut head = [0; 8];
@@ -52,48 +54,46 @@ impl SafetensorsFile {
         }
         let mut json = vec![0; header as usize];
         file.read_exact(&mut json).map_err(CoreError::read(path))?;
-        let raw: BTreeMap<String, serde_json::Value> = serde_json::from_slice(&json)
-            .map_err(|e| broken("the header of this weight file is damaged").because(e))?;
+        let raw: BTreeMap<String, serde_json::Value> =
+            serde_json::from_slice(&json).map_err(|e| damaged().because(e))?;
         let mut entries = BTreeMap::new();
         for (name, value) in raw.into_iter().filter(|(name, _)| name != "__metadata__") {
-            let entry: TensorEntry = serde_json::from_value(value)
-                .map_err(|e| broken("the header of this weight file is damaged").because(e))?;
+            let entry: TensorEntry = serde_json::from_value(value).map_err(|e| damaged().because(e))?;
             let [start, end] = entry.data_offsets;
-            let bytes = entry
-                .shape
-                .iter()
-                .try_fold(bytes_of(&entry.dtype).unwrap_or(0) as u64, |n, d| n.checked_mul(*d as u64));
-            let is_known = bytes_of(&entry.dtype).is_some();
-            if start > end || is_known && bytes != Some(end - start) {
-                return Err(broken("the header of this weight file is damaged").because(name).into());
+            let fits = |element: u64| {
+                let bytes = entry.shape.iter().try_fold(element, |n, d| n.checked_mul(*d as u64));
+                bytes == Some(end - start)
+            };
+            if start > end || bytes_of(&entry.dtype).is_some_and(|element| !fits(element)) {
+                return Err(damaged().because(name).into());
             }
             if end > length - 8 - header {
-                return Err(broken("this weight file is cut off")
-                    .because(format!("`{name}` ends beyond its {length} bytes"))
-                    .into());
+                let why = format!("`{name}` ends beyond its {length} bytes");
+                return Err(broken("this weight file is cut off").because(why).into());
             }
             entries.insert(name, entry);
         }
         Ok(Self { path: path.to_owned(), file: Mutex::new(file), entries, data_start: header + 8 })
     }
 
-    /// Whether the file has a tensor of this name.
-    pub fn holds(&self, name: &str) -> bool {
+    fn bytes(&self, entry: &TensorEntry) -> Result<Vec<u8>, NetsError> {
+        let [start, end] = entry.data_offsets;
+        let mut bytes = vec![0; (end - start) as usize];
+        let mut file = self.file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        file.seek(SeekFrom::Start(self.data_start + start)).map_err(CoreError::read(&self.path))?;
+        file.read_exact(&mut bytes).map_err(CoreError::read(&self.path))?;
+        Ok(bytes)
+    }
+}
+
+impl WeightsSource for SafetensorsFile {
+    fn holds(&self, name: &str) -> bool {
         self.entries.contains_key(name)
     }
 
-    /// Returns the tensor `name` as 32-bit floats.
-    ///
-    /// # Errors
-    /// [`NetsError::Input`] if it is missing, or has another shape or no float type.
-    pub fn tensor(&self, name: &str, shape: &[usize], device: &Device) -> Result<Tensor, NetsError> {
-        let another = |what: String| {
-            InputError::new(
-                what,
-                &self.path,
-                "the weights belong to another model: choose the matching folder or model",
-            )
-        };
+    fn tensor(&self, name: &str, shape: &[usize], device: &Device) -> Result<Tensor, NetsError> {
+        let cure = "the weights belong to another model: choose the matching folder or model";
+        let another = |what: String| InputError::new(what, &self.path, cure);
         let entry =
             self.entries.get(name).ok_or_else(|| another(format!("this weight file has no `{name}`")))?;
         if entry.shape != shape {
@@ -110,42 +110,10 @@ impl SafetensorsFile {
         let raw = Tensor::from_raw_buffer(&self.bytes(entry)?, dtype, shape, &Device::Cpu)?;
         Ok(raw.to_dtype(DType::F32)?.to_device(device)?)
     }
-
-    /// Returns all tensors unconverted, for tests and tools.
-    ///
-    /// # Errors
-    /// [`NetsError::Input`] for an unknown type.
-    pub fn all(&self, device: &Device) -> Result<BTreeMap<String, Tensor>, NetsError> {
-        let mut all = BTreeMap::new();
-        for (name, entry) in &self.entries {
-            let dtype = match entry.dtype.as_str() {
-                "F32" => DType::F32,
-                "I64" => DType::I64,
-                "I32" => DType::I32,
-                "U8" => DType::U8,
-                other => {
-                    let what = format!("`{name}` has the unsupported type {other}");
-                    return Err(InputError::new(what, &self.path, "use F32, I64, I32 or U8").into());
-                }
-            };
-            let tensor = Tensor::from_raw_buffer(&self.bytes(entry)?, dtype, &entry.shape, device)?;
-            all.insert(name.clone(), tensor);
-        }
-        Ok(all)
-    }
-
-    fn bytes(&self, entry: &TensorEntry) -> Result<Vec<u8>, NetsError> {
-        let [start, end] = entry.data_offsets;
-        let mut bytes = vec![0; (end - start) as usize];
-        let mut file = self.file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        file.seek(SeekFrom::Start(self.data_start + start)).map_err(CoreError::read(&self.path))?;
-        file.read_exact(&mut bytes).map_err(CoreError::read(&self.path))?;
-        Ok(bytes)
-    }
 }
 
 /// Returns the bytes of one element.
-fn bytes_of(dtype: &str) -> Option<usize> {
+fn bytes_of(dtype: &str) -> Option<u64> {
     match dtype {
         "F64" | "I64" | "U64" => Some(8),
         "F32" | "I32" | "U32" => Some(4),

@@ -2,7 +2,7 @@
 //! (paper, "Object detection and segmentation").
 
 use crate::carry::{Carried, carried_box};
-use crate::objects::{NamedBox, foreign, label_infos};
+use crate::objects::{NamedBox, foreign, household, label_infos};
 use crate::owlv2::{ClipTokenizer, Detection, Owlv2, Owlv2Config, PixelBox, detections, suppressed};
 use crate::sam2::{ObjectMask, Sam2, Sam2Config, Tracker};
 use crate::{NetsError, TensorObserver, Weights, owlv2, sam2};
@@ -56,7 +56,7 @@ pub struct NetsConfig {
 impl Default for NetsConfig {
     fn default() -> Self {
         Self {
-            objects: crate::objects::HOUSEHOLD.map(str::to_owned).to_vec(),
+            objects: household(),
             threshold: 0.2,
             max_overlap: 0.5,
             max_area_share: 0.6,
@@ -251,7 +251,7 @@ impl NetsMasks {
     /// vocabulary, because most of its objects are absent.
     fn warn_of_missing(&self, found: &[DetectedObject], warnings: &Warnings) {
         let objects = &self.config.objects;
-        if found.is_empty() || *objects == crate::objects::HOUSEHOLD {
+        if found.is_empty() || *objects == household() {
             return;
         }
         for name in objects.iter().filter(|o| found.iter().all(|f| f.name != **o)) {

@@ -50,22 +50,15 @@ pub fn best_view<'a>(cameras: impl IntoIterator<Item = &'a Camera>, sites: &[Lan
                 let steepness = sight.z / sight.length();
                 let k = camera.intrinsics;
                 let margin = 0.03 * k.width as f64;
-                let inside = camera.project(site.p_w).is_some_and(|(u, v, _)| {
-                    u > margin && v > margin && u < k.width as f64 - margin && v < k.height as f64 - margin
-                });
+                let is_seen = |(u, v, _)| is_in((k.width, k.height), DVec2::new(u, v), margin);
                 // Being in the picture counts more than being seen steeply.
-                if inside && steepness > 0.1 { 2.0 + steepness } else { 0.0 }
+                let counts = camera.project(site.p_w).is_some_and(is_seen) && steepness > 0.1;
+                if counts { 2.0 + steepness } else { 0.0 }
             })
             .sum()
     };
-    let mut best: Option<(usize, f64)> = None;
-    for (index, camera) in cameras.into_iter().enumerate() {
-        let s = score(camera);
-        if s > best.map_or(0.0, |b| b.1) {
-            best = Some((index, s));
-        }
-    }
-    best.map(|b| b.0)
+    let scores = cameras.into_iter().map(score).enumerate().filter(|(_, score)| *score > 0.0);
+    scores.reduce(|best, next| if next.1 > best.1 { next } else { best }).map(|best| best.0)
 }
 
 /// Resizes the picture to a longer side of `long_side` pixels, with its camera: labels must be legible, and servers
@@ -103,25 +96,25 @@ fn circle(camera: &Camera, center_w: DVec3, radius: f64) -> Option<Vec<DVec2>> {
 pub fn sites_picture(image: &ColorImage, camera: &Camera, sites: &Sites, chosen: Option<u32>) -> Annotated {
     let mut canvas = Canvas { image: image.clone() };
     let height = label_height(image);
-    let mut labels = Vec::new();
+    let color = |site: &LandingSite| if chosen == Some(site.id) { CHOSEN } else { SITE };
     for site in &sites.sites {
         let Some(outline) = circle(camera, site.p_w, 0.45 * sites.spacing) else { continue };
-        let color = if chosen == Some(site.id) { CHOSEN } else { SITE };
-        canvas.polygon(&outline, color, 0.55);
+        canvas.polygon(&outline, color(site), 0.55);
         let ring: Vec<Option<DVec2>> = outline.iter().chain(&outline[..1]).copied().map(Some).collect();
         canvas.line(&ring, 2.0, WHITE);
     }
+    let mut labels = Vec::new();
     for site in &sites.sites {
-        let Some(center) = at(camera, site.p_w).filter(|c| is_in(image, *c, 0.5 * height)) else { continue };
-        let color = if chosen == Some(site.id) { CHOSEN } else { SITE };
-        canvas.number(site.id, center, height, WHITE, color);
+        let place = at(camera, site.p_w).filter(|c| is_in(image.size(), *c, 0.5 * height));
+        let Some(center) = place else { continue };
+        canvas.number(site.id, center, height, color(site));
         labels.push((site.id, center.to_array()));
     }
     Annotated { image: canvas.image, labels }
 }
 
-fn is_in(image: &ColorImage, p: DVec2, margin: f64) -> bool {
-    p.min_element() > margin && p.x < image.width as f64 - margin && p.y < image.height as f64 - margin
+fn is_in((width, height): (usize, usize), p: DVec2, margin: f64) -> bool {
+    p.min_element() > margin && p.x < width as f64 - margin && p.y < height as f64 - margin
 }
 
 /// Draws the approaches as numbered curves of different colours, at the height of the landing point (as in the
@@ -156,15 +149,15 @@ pub fn paths_picture(
         canvas.line(&lines[i], width, color(&approaches[i]));
     }
     if let Some(center) = at(camera, site.p_w) {
-        canvas.disc(center, 0.7 * height, WHITE, 1.0);
-        canvas.disc(center, 0.5 * height, BLACK, 1.0);
+        canvas.disc(center, 0.7 * height, WHITE);
+        canvas.disc(center, 0.5 * height, BLACK);
     }
     let mut labels: Vec<(u32, [f64; 2])> = Vec::new();
     for (a, line) in approaches.iter().zip(&lines) {
         let Some(p) = label_place(image, line, &labels, 1.1 * height) else { continue };
-        canvas.disc(p, 1.25 * height, BLACK, 1.0);
-        canvas.disc(p, 1.1 * height, color(a), 1.0);
-        canvas.number(a.id, p, height, WHITE, BLACK);
+        canvas.disc(p, 1.25 * height, BLACK);
+        canvas.disc(p, 1.1 * height, color(a));
+        canvas.number(a.id, p, height, BLACK);
         labels.push((a.id, p.to_array()));
     }
     Annotated { image: canvas.image, labels }
@@ -179,7 +172,7 @@ fn label_place(
     radius: f64,
 ) -> Option<DVec2> {
     let seen: Vec<DVec2> =
-        line.iter().flatten().copied().filter(|p| is_in(image, *p, 1.3 * radius)).collect();
+        line.iter().flatten().copied().filter(|p| is_in(image.size(), *p, 1.3 * radius)).collect();
     let clearance =
         |p: &DVec2| taken.iter().map(|(_, q)| p.distance((*q).into())).fold(f64::INFINITY, f64::min);
     let clear = seen.iter().find(|p| clearance(p) > 2.4 * radius).copied();

@@ -42,10 +42,10 @@ impl Canvas {
     }
 
     /// Draws a filled disc.
-    pub(crate) fn disc(&mut self, center: DVec2, radius: f64, color: [u8; 3], opacity: f64) {
+    pub(crate) fn disc(&mut self, center: DVec2, radius: f64, color: [u8; 3]) {
         let reach = DVec2::splat(radius + 1.0);
         self.paint(center - reach, center + reach, color, |p| {
-            opacity * (radius + 0.5 - p.distance(center)).clamp(0.0, 1.0)
+            (radius + 0.5 - p.distance(center)).clamp(0.0, 1.0)
         });
     }
 
@@ -86,20 +86,13 @@ impl Canvas {
         }
     }
 
-    /// Draws a number centred at a point, its digits `height` pixels high, with an outline of another colour.
-    pub(crate) fn number(
-        &mut self,
-        number: u32,
-        center: DVec2,
-        height: f64,
-        color: [u8; 3],
-        outline: [u8; 3],
-    ) {
+    /// Draws a white number centred at a point, its digits `height` pixels high, with a coloured outline.
+    pub(crate) fn number(&mut self, number: u32, center: DVec2, height: f64, outline: [u8; 3]) {
         let scale = (height / 7.0).round().max(1.0);
         let digits: Vec<usize> = number.to_string().bytes().map(|b| usize::from(b - b'0')).collect();
         let width = scale * (digits.len() * ADVANCE - 1) as f64;
         let corner = (center - 0.5 * DVec2::new(width, 7.0 * scale)).round();
-        for (grow, color) in [(0.5 * scale.max(2.0), outline), (0.0, color)] {
+        for (grow, color) in [(0.5 * scale.max(2.0), outline), (0.0, [255; 3])] {
             for (k, digit) in digits.iter().enumerate() {
                 for (row, bits) in DIGITS[*digit].iter().enumerate() {
                     for column in (0..5).filter(|c| bits >> (4 - c) & 1 == 1) {
@@ -131,7 +124,7 @@ mod tests {
     #[test]
     fn shapes_have_their_areas_and_places() {
         let mut c = canvas();
-        c.disc(DVec2::new(20.3, 17.8), 9.0, [255; 3], 1.0);
+        c.disc(DVec2::new(20.3, 17.8), 9.0, [255; 3]);
         assert!((area(&c) / (std::f64::consts::PI * 81.0) - 1.0).abs() < 0.01, "{}", area(&c));
         let mut c = canvas();
         let square = [[10.0, 10.0], [30.0, 10.0], [30.0, 25.0], [10.0, 25.0]].map(DVec2::from_array);
@@ -155,7 +148,7 @@ mod tests {
         let drawn: Vec<ColorImage> = (0..=15)
             .map(|n| {
                 let mut c = canvas();
-                c.number(n, DVec2::new(30.0, 20.0), 14.0, [255; 3], [0, 0, 255]);
+                c.number(n, DVec2::new(30.0, 20.0), 14.0, [0, 0, 255]);
                 c.image
             })
             .collect();
@@ -163,8 +156,8 @@ mod tests {
             assert!(drawn[..i].iter().all(|b| a != b), "{i}");
         }
         let mut c = canvas();
-        c.number(8, DVec2::new(0.0, 40.0), 14.0, [255; 3], [0, 0, 255]);
-        c.disc(DVec2::new(-100.0, 500.0), 30.0, [255; 3], 1.0);
+        c.number(8, DVec2::new(0.0, 40.0), 14.0, [0, 0, 255]);
+        c.disc(DVec2::new(-100.0, 500.0), 30.0, [255; 3]);
         c.line(&[Some(DVec2::new(-1e9, 3.0)), Some(DVec2::new(-1e3, 3.0))], 3.0, [255; 3]);
         assert!(c.image.data.contains(&[255; 3]));
     }

@@ -3,8 +3,7 @@
 //!
 //! | [`Chooser`] | site | approach |
 //! |---|---|---|
-//! | `visual prompting` | a vision-language model, shown the numbered sites | the same, shown nine numbered curves
-//! |
+//! | `visual prompting` | a vision-language model, shown the numbered sites | the same, shown nine numbered curves |
 //! | `geometric` | the site nearest the centre of the top face | straight |
 //! | `random` | any | any |
 //!

@@ -1,6 +1,6 @@
 //! Candidate landing sites, by geometry alone.
 
-use crate::top_map::{ObjectSurface, TopMap};
+use crate::top_map::{ObjectSurface, Top, TopMap};
 use glamx::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::length_text;
@@ -20,8 +20,7 @@ pub struct SiteSettings {
     pub min_height: f64,
     /// Greatest angle between a surface's normal and the vertical, radians.
     pub max_tilt: f64,
-    /// Least distance between sites, metres. Also the diameter of marks in the picture, so that they do not
-    /// overlap.
+    /// Least distance between sites, metres; also the diameter of marks in the picture, so that they do not overlap.
     pub spacing: f64,
     /// Greatest height difference between the surface below a foot and the site, metres.
     pub foot_tolerance: f64,
@@ -122,22 +121,13 @@ pub fn landing_sites(
 
 /// Returns cells with level surroundings, as the surface's index and the point.
 fn level_cells(map: &TopMap, settings: &SiteSettings) -> Vec<(usize, DVec3)> {
-    let (width, height) = map.size();
     let least_cos = settings.max_tilt.cos();
-    let mut cells = Vec::new();
-    for y in 0..height {
-        for x in 0..width {
-            let Some(top) = map.top(x, y) else { continue };
-            let p_w = map.center_w(x, y);
-            if let Some((z, normal_w)) = map.plane(p_w, WINDOW_HALF_M, top.surface)
-                && normal_w.z >= least_cos
-                && (top.z - z).abs() <= settings.foot_tolerance
-            {
-                cells.push((top.surface, p_w.extend(z)));
-            }
-        }
-    }
-    cells
+    let level = |(p_w, top): (DVec2, Top)| {
+        let (z, normal_w) = map.plane(p_w, WINDOW_HALF_M, top.surface)?;
+        let is_level = normal_w.z >= least_cos && (top.z - z).abs() <= settings.foot_tolerance;
+        is_level.then(|| (top.surface, p_w.extend(z)))
+    };
+    map.cells().filter_map(level).collect()
 }
 
 /// Whether the vehicle fits at a point: a surface below each foot, and nothing higher within its reach.
@@ -164,12 +154,11 @@ fn spread(
 ) -> Vec<LandingSite> {
     let from_center = |p: &DVec3| p.truncate().distance(center_w.truncate());
     let on_platform = |i: &usize| surfaces[fitting[*i].0].name == platform;
-    let first = (0..fitting.len())
+    let mut next = (0..fitting.len())
         .filter(on_platform)
         .min_by(|&a, &b| from_center(&fitting[a].1).total_cmp(&from_center(&fitting[b].1)));
     let mut sites = Vec::new();
     let mut distances = vec![f64::INFINITY; fitting.len()];
-    let mut next = first;
     while let Some(i) = next.filter(|_| sites.len() < settings.most) {
         let (surface, p_w) = fitting[i];
         let id = sites.len() as u32 + 1;

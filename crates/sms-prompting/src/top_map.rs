@@ -93,19 +93,17 @@ impl TopMap {
         }
     }
 
-    /// Returns the number of cells along x and y.
-    pub(crate) fn size(&self) -> (usize, usize) {
-        (self.width, self.height)
-    }
-
     /// Returns the centre of a cell.
-    pub(crate) fn center_w(&self, x: usize, y: usize) -> DVec2 {
+    fn center_w(&self, x: i64, y: i64) -> DVec2 {
         self.origin_w + self.cell * DVec2::new(x as f64 + 0.5, y as f64 + 0.5)
     }
 
-    /// Returns the top at a cell.
-    pub(crate) fn top(&self, x: usize, y: usize) -> Option<Top> {
-        self.tops[y * self.width + x]
+    /// Returns the centres and the tops of the cells with a surface, row by row.
+    pub(crate) fn cells(&self) -> impl Iterator<Item = (DVec2, Top)> + '_ {
+        self.tops.iter().enumerate().filter_map(|(i, top)| {
+            let (x, y) = (i % self.width, i / self.width);
+            Some((self.center_w(x as i64, y as i64), (*top)?))
+        })
     }
 
     /// Returns the cells with centres within `half` metres of `p_w` along x and y; `None` for each beyond the grid.
@@ -114,9 +112,9 @@ impl TopMap {
         let high = ((p_w + half - self.origin_w) / self.cell - 0.5).floor();
         let (columns, rows) = (low.x as i64..=high.x as i64, low.y as i64..=high.y as i64);
         rows.flat_map(move |y| columns.clone().map(move |x| (x, y))).map(move |(x, y)| {
-            let center = self.origin_w + self.cell * DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
             let inside = x >= 0 && y >= 0 && (x as usize) < self.width && (y as usize) < self.height;
-            (center, if inside { self.top(x as usize, y as usize) } else { None })
+            let top = if inside { self.tops[y as usize * self.width + x as usize] } else { None };
+            (self.center_w(x, y), top)
         })
     }
 
@@ -131,12 +129,8 @@ impl TopMap {
             let d = q - p_w;
             n += 1.0;
             sum += d.extend(top.z);
-            let [xx, xy, yy, xz, yz] = &mut moment;
-            *xx += d.x * d.x;
-            *xy += d.x * d.y;
-            *yy += d.y * d.y;
-            *xz += d.x * top.z;
-            *yz += d.y * top.z;
+            let products = [d.x * d.x, d.x * d.y, d.y * d.y, d.x * top.z, d.y * top.z];
+            moment.iter_mut().zip(products).for_each(|(sum, product)| *sum += product);
         }
         if n < 6.0 || 2.0 * n < all {
             return None;

@@ -1,60 +1,38 @@
 //! The two towers and the heads of OWLv2 (Minderer et al. 2023, "Scaling Open-Vocabulary Object Detection").
 
 use super::{Owlv2Config, Tokens};
+use crate::attention::Attention;
 use crate::kernels::Activation;
-use crate::ops::{Linear, TensorObserver, attention, masked_attention, mlp, normalized};
-use crate::{NetsError, Weights};
+use crate::ops::{Linear, TensorObserver, mlp, normalized};
+use crate::weights::{Loaded, Weights};
 use candle_core::{D, Device, Result, Tensor};
 use candle_nn::{LayerNorm, Module};
 
 /// A block of either tower.
 #[derive(Debug)]
 struct TowerBlock {
-    query: Linear,
-    key: Linear,
-    value: Linear,
-    output: Linear,
+    attention: Attention,
     norm1: LayerNorm,
     norm2: LayerNorm,
-    fc1: Linear,
-    fc2: Linear,
-    heads: usize,
+    mlp: Vec<Linear>,
 }
 
 impl TowerBlock {
-    fn new(
-        at: &Weights,
-        size: usize,
-        inner: usize,
-        heads: usize,
-        eps: f64,
-    ) -> std::result::Result<Self, NetsError> {
-        let attn = at.at("self_attn");
+    fn new(at: &Weights, size: usize, inner: usize, heads: usize, eps: f64) -> Loaded<Self> {
         Ok(Self {
-            query: attn.linear("q_proj", size, size)?,
-            key: attn.linear("k_proj", size, size)?,
-            value: attn.linear("v_proj", size, size)?,
-            output: attn.linear("out_proj", size, size)?,
+            attention: Attention::new(&at.at("self_attn"), [size; 3], heads, "out_proj")?,
             norm1: at.layer_norm("layer_norm1", size, eps)?,
             norm2: at.layer_norm("layer_norm2", size, eps)?,
-            fc1: at.linear("mlp.fc1", size, inner)?,
-            fc2: at.linear("mlp.fc2", inner, size)?,
-            heads: heads.max(1),
+            mlp: at.feed_forward(["mlp.fc1", "mlp.fc2"], size, inner)?,
         })
     }
 
     /// `x` (b, n, c); `mask` (b, n, n) is added to the scores.
     fn forward(&self, x: &Tensor, mask: Option<&Tensor>) -> Result<Tensor> {
         let y = self.norm1.forward(x)?;
-        let (q, k, v) = (self.query.forward(&y)?, self.key.forward(&y)?, self.value.forward(&y)?);
-        let scale = ((q.dim(D::Minus1)? / self.heads) as f64).powf(-0.5);
-        let attended = match mask {
-            Some(mask) => masked_attention(&q, &k, &v, self.heads, scale, mask)?,
-            None => attention(&q, &k, &v, self.heads, scale)?,
-        };
-        let x = (x + self.output.forward(&attended)?)?;
-        let inner = self.fc1.then(&self.norm2.forward(&x)?, Activation::QuickGelu)?;
-        &x + self.fc2.forward(&inner)?
+        let (q, k, v) = self.attention.projected(&y, &y, &y)?;
+        let x = (x + self.attention.attend(&q, &k, &v, mask)?)?;
+        &x + mlp(&self.norm2.forward(&x)?, &self.mlp, Activation::QuickGelu)?
     }
 }
 
@@ -100,8 +78,8 @@ impl Owlv2 {
     /// Builds the model of `config` with these weights.
     ///
     /// # Errors
-    /// [`NetsError::Input`] if the weights belong to another model.
-    pub fn new(config: &Owlv2Config, weights: &Weights) -> std::result::Result<Self, NetsError> {
+    /// [`crate::NetsError::Input`] if the weights belong to another model.
+    pub fn new(config: &Owlv2Config, weights: &Weights) -> Loaded<Self> {
         let (t, v) = (&config.text_config, &config.vision_config);
         let owl = weights.at("owlv2");
         let (text, vision) = (owl.at("text_model"), owl.at("vision_model"));
@@ -116,7 +94,7 @@ impl Owlv2 {
         });
         let head = |name: &str, outputs: usize| {
             let at = weights.at(name);
-            Ok::<_, NetsError>(vec![
+            Loaded::Ok(vec![
                 at.linear("dense0", v.hidden_size, v.hidden_size)?,
                 at.linear("dense1", v.hidden_size, v.hidden_size)?,
                 at.linear("dense2", v.hidden_size, outputs)?,
@@ -132,7 +110,7 @@ impl Owlv2 {
                 "embeddings.position_embedding.weight",
                 &[t.max_position_embeddings, t.hidden_size],
             )?,
-            text_blocks: text_blocks.collect::<std::result::Result<_, _>>()?,
+            text_blocks: text_blocks.collect::<Loaded<_>>()?,
             text_norm: text.layer_norm("final_layer_norm", t.hidden_size, t.layer_norm_eps)?,
             text_projection: owl.linear_no_bias("text_projection", t.hidden_size, config.projection_dim)?,
             class_token: vision.tensor("embeddings.class_embedding", &[v.hidden_size])?,
@@ -142,7 +120,7 @@ impl Owlv2 {
             image_positions: vision
                 .tensor("embeddings.position_embedding.weight", &[grid * grid + 1, v.hidden_size])?,
             pre_norm: vision.layer_norm("pre_layernorm", v.hidden_size, v.layer_norm_eps)?,
-            image_blocks: image_blocks.collect::<std::result::Result<_, _>>()?,
+            image_blocks: image_blocks.collect::<Loaded<_>>()?,
             post_norm: vision.layer_norm("post_layernorm", v.hidden_size, v.layer_norm_eps)?,
             image_projection: owl.linear_no_bias(
                 "visual_projection",

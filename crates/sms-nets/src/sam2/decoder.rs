@@ -2,42 +2,12 @@
 
 use super::config::{DecoderConfig, Sam2Config};
 use super::encoder::ImageFeatures;
+use crate::attention::Attention;
 use crate::kernels::Activation;
-use crate::ops::{Linear, activated, attention, mlp};
-use crate::{NetsError, Weights};
-use candle_core::{D, Result, Tensor};
+use crate::ops::{Linear, activated, mlp};
+use crate::weights::{Loaded, Weights};
+use candle_core::{Result, Tensor};
 use candle_nn::{LayerNorm, Module};
-
-type Loaded<T> = std::result::Result<T, NetsError>;
-
-/// Attention with its projections.
-#[derive(Debug)]
-struct Attention {
-    query: Linear,
-    key: Linear,
-    value: Linear,
-    output: Linear,
-    heads: usize,
-}
-
-impl Attention {
-    fn new(at: &Weights, size: usize, inner: usize, heads: usize) -> Loaded<Self> {
-        Ok(Self {
-            query: at.linear("q_proj", size, inner)?,
-            key: at.linear("k_proj", size, inner)?,
-            value: at.linear("v_proj", size, inner)?,
-            output: at.linear("o_proj", inner, size)?,
-            heads: heads.max(1),
-        })
-    }
-
-    /// `q` (1, n, c), `k` and `v` (1, m, c).
-    fn forward(&self, q: &Tensor, k: &Tensor, v: &Tensor) -> Result<Tensor> {
-        let (q, k, v) = (self.query.forward(q)?, self.key.forward(k)?, self.value.forward(v)?);
-        let scale = ((q.dim(D::Minus1)? / self.heads) as f64).powf(-0.5);
-        self.output.forward(&attention(&q, &k, &v, self.heads, scale)?)
-    }
-}
 
 /// A block of the two-way transformer.
 #[derive(Debug)]
@@ -52,11 +22,13 @@ struct TwoWay {
 impl TwoWay {
     fn new(at: &Weights, size: usize, config: &DecoderConfig) -> Loaded<Self> {
         let (inner, heads) = (size / config.attention_downsample_rate.max(1), config.num_attention_heads);
+        let attention =
+            |name: &str, inner: usize| Attention::new(&at.at(name), [size, size, inner], heads, "o_proj");
         let norm = |i: usize| at.layer_norm(&format!("layer_norm{i}"), size, 1e-5);
         Ok(Self {
-            tokens: Attention::new(&at.at("self_attn"), size, size, heads)?,
-            tokens_to_image: Attention::new(&at.at("cross_attn_token_to_image"), size, inner, heads)?,
-            image_to_tokens: Attention::new(&at.at("cross_attn_image_to_token"), size, inner, heads)?,
+            tokens: attention("self_attn", size)?,
+            tokens_to_image: attention("cross_attn_token_to_image", inner)?,
+            image_to_tokens: attention("cross_attn_image_to_token", inner)?,
             mlp: feed_forward(&at.at("mlp"), size, config.mlp_dim, size, config.num_hidden_layers)?,
             norms: [norm(1)?, norm(2)?, norm(3)?, norm(4)?],
         })
@@ -178,7 +150,7 @@ impl MaskDecoder {
         Ok(Self {
             own_tokens: Tensor::cat(&[object, iou, mask_tokens], 0)?,
             blocks: blocks.collect::<Loaded<_>>()?,
-            last: Attention::new(&last, c, inner, decoder.num_attention_heads)?,
+            last: Attention::new(&last, [c, c, inner], decoder.num_attention_heads, "o_proj")?,
             last_norm: transformer.layer_norm("layer_norm_final_attn", c, 1e-5)?,
             upscale1: Upscale::new(&at.at("upscale_conv1"), c, c / 4)?,
             upscale2: Upscale::new(&at.at("upscale_conv2"), c / 4, c / 8)?,
@@ -231,35 +203,21 @@ impl MaskDecoder {
     }
 }
 
-/// The selected mask.
-#[derive(Debug, Clone)]
-pub(crate) struct SelectedMask {
-    /// Row of [`Decoded::masks`].
-    pub(crate) mask: usize,
-    /// Row of [`Decoded::tokens`] that becomes the object pointer.
-    pub(crate) token: usize,
-}
-
 impl Decoded {
-    /// Selects on a prompted frame: the single mask if it is stable, else the best of the others. The pointer always
-    /// comes from the single mask.
-    pub(crate) fn single(&self, config: &DecoderConfig) -> Result<SelectedMask> {
+    /// Selects a row of [`Decoded::masks`] on a prompted frame: the single mask if it is stable, else the best of the
+    /// others.
+    pub(crate) fn single(&self, config: &DecoderConfig) -> Result<usize> {
         let logits = self.masks.get(0)?.to_vec1::<f32>()?;
         let delta = config.dynamic_multimask_stability_delta;
         let above = |limit: f32| logits.iter().filter(|&&l| l > limit).count();
         let (inner, outer) = (above(delta), above(-delta));
         let stability = if outer > 0 { inner as f64 / outer as f64 } else { 1.0 };
         let is_stable = stability >= config.dynamic_multimask_stability_thresh;
-        Ok(SelectedMask { mask: if is_stable { 0 } else { self.best() }, token: 0 })
+        Ok(if is_stable { 0 } else { self.best_of_three() })
     }
 
-    /// Selects on a tracked frame: the best of the three.
-    pub(crate) fn best_of_three(&self) -> SelectedMask {
-        SelectedMask { mask: self.best(), token: self.best() }
-    }
-
-    /// Returns the best of the masks other than the single one (the first of equals).
-    fn best(&self) -> usize {
+    /// Returns the row of the best mask other than the single one (the first of equals).
+    pub(crate) fn best_of_three(&self) -> usize {
         (1..self.iou.len()).fold(1, |best, i| if self.iou[i] > self.iou[best] { i } else { best })
     }
 }

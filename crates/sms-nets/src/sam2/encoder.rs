@@ -5,11 +5,9 @@ use super::config::Sam2Config;
 use super::positions::{resize_bicubic, sine_2d};
 use crate::kernels::Activation;
 use crate::ops::{Linear, TensorObserver, attention, mlp};
-use crate::{NetsError, Weights};
+use crate::weights::{Loaded, Weights};
 use candle_core::{D, Result, Tensor};
 use candle_nn::{LayerNorm, Module};
-
-type Loaded<T> = std::result::Result<T, NetsError>;
 
 /// One block of Hiera.
 #[derive(Debug)]
@@ -151,10 +149,7 @@ impl Encoder {
                     norm2: block.layer_norm("layer_norm2", size.1, hiera.layer_norm_eps)?,
                     qkv: block.linear("attn.qkv", size.0, 3 * size.1)?,
                     output: block.linear("attn.proj", size.1, size.1)?,
-                    mlp: vec![
-                        block.linear("mlp.proj_in", size.1, inner)?,
-                        block.linear("mlp.proj_out", inner, size.1)?,
-                    ],
+                    mlp: block.feed_forward(["mlp.proj_in", "mlp.proj_out"], size.1, inner)?,
                     projection: opens.then(|| block.linear("proj", size.0, size.1)).transpose()?,
                     heads: hiera.num_attention_heads_per_stage[stage].max(1),
                     window: if global { 0 } else { window },

@@ -2,62 +2,37 @@
 
 use super::config::Sam2Config;
 use super::positions::{Rotary, sine_2d};
+use crate::attention::Attention;
 use crate::kernels::Activation;
-use crate::ops::{Linear, activated, attention, depthwise};
-use crate::{NetsError, Weights};
+use crate::ops::{Linear, activated, depthwise, mlp};
+use crate::weights::{Loaded, Weights};
 use candle_core::{D, Result, Tensor};
 use candle_nn::{LayerNorm, Module};
 
-type Loaded<T> = std::result::Result<T, NetsError>;
-
-/// Attention with rotary positions.
-#[derive(Debug)]
-struct RotaryAttention {
-    query: Linear,
-    key: Linear,
-    value: Linear,
-    output: Linear,
-    heads: usize,
-}
-
-impl RotaryAttention {
-    fn new(at: &Weights, size: usize, keys: usize, heads: usize) -> Loaded<Self> {
-        Ok(Self {
-            query: at.linear("q_proj", size, size)?,
-            key: at.linear("k_proj", keys, size)?,
-            value: at.linear("v_proj", keys, size)?,
-            output: at.linear("o_proj", size, size)?,
-            heads: heads.max(1),
-        })
-    }
-
-    /// `q` (n, c); `k`, `v` (m, keys), of which the last `unturned` have no position on the grid.
-    fn forward(
-        &self,
-        q: &Tensor,
-        k: &Tensor,
-        v: &Tensor,
-        unturned: usize,
-        rotary: &Rotary,
-    ) -> Result<Tensor> {
-        let (q, k, v) = (self.query.forward(q)?, self.key.forward(k)?, self.value.forward(v)?);
-        let size = q.dim(D::Minus1)? / self.heads;
-        let scale = (size as f64).powf(-0.5);
-        let turned = |x: &Tensor, unturned: usize| {
-            let heads = (0..self.heads).map(|i| rotary.turn(&x.narrow(1, i * size, size)?, unturned));
-            Tensor::cat(&heads.collect::<Result<Vec<_>>>()?, 1)?.unsqueeze(0)
-        };
-        let (q, k) = (turned(&q, 0)?, turned(&k, unturned)?);
-        self.output.forward(&attention(&q, &k, &v.unsqueeze(0)?, self.heads, scale)?.squeeze(0)?)
-    }
+/// Attention with rotary positions: `q` (n, c); `k`, `v` (m, keys), of which the last `unturned` have no position on the
+/// grid.
+fn turned_attention(
+    layer: &Attention,
+    q: &Tensor,
+    k: &Tensor,
+    v: &Tensor,
+    unturned: usize,
+    rotary: &Rotary,
+) -> Result<Tensor> {
+    let (q, k, v) = layer.projected(q, k, v)?;
+    let size = q.dim(D::Minus1)? / layer.heads;
+    let turned = |x: &Tensor, unturned: usize| {
+        let heads = (0..layer.heads).map(|i| rotary.turn(&x.narrow(1, i * size, size)?, unturned));
+        Tensor::cat(&heads.collect::<Result<Vec<_>>>()?, 1)?.unsqueeze(0)
+    };
+    layer.attend(&turned(&q, 0)?, &turned(&k, unturned)?, &v.unsqueeze(0)?, None)?.squeeze(0)
 }
 
 #[derive(Debug)]
 struct AttentionBlock {
-    own: RotaryAttention,
-    memory: RotaryAttention,
-    linear1: Linear,
-    linear2: Linear,
+    own: Attention,
+    memory: Attention,
+    mlp: Vec<Linear>,
     norms: [LayerNorm; 3],
 }
 
@@ -80,11 +55,10 @@ impl MemoryAttention {
         let blocks = (0..config.memory_attention_num_layers).map(|i| {
             let at = at.at("layers").at(i);
             let norm = |i: usize| at.layer_norm(&format!("layer_norm{i}"), c, 1e-5);
-            Ok::<_, NetsError>(AttentionBlock {
-                own: RotaryAttention::new(&at.at("self_attn"), c, c, heads)?,
-                memory: RotaryAttention::new(&at.at("cross_attn_image"), c, memory, heads)?,
-                linear1: at.linear("linear1", c, inner)?,
-                linear2: at.linear("linear2", inner, c)?,
+            Loaded::Ok(AttentionBlock {
+                own: Attention::new(&at.at("self_attn"), [c; 3], heads, "o_proj")?,
+                memory: Attention::new(&at.at("cross_attn_image"), [c, memory, c], heads, "o_proj")?,
+                mlp: at.feed_forward(["linear1", "linear2"], c, inner)?,
                 norms: [norm(1)?, norm(2)?, norm(3)?],
             })
         });
@@ -109,11 +83,10 @@ impl MemoryAttention {
         let keys = (memory + positions)?;
         for block in &self.blocks {
             let y = block.norms[0].forward(&x)?;
-            x = (&x + block.own.forward(&y, &y, &y, 0, &self.rotary)?)?;
+            x = (&x + turned_attention(&block.own, &y, &y, &y, 0, &self.rotary)?)?;
             let y = block.norms[1].forward(&x)?;
-            x = (&x + block.memory.forward(&y, &keys, memory, pointers, &self.rotary)?)?;
-            let y = block.linear1.then(&block.norms[2].forward(&x)?, Activation::Relu)?;
-            x = (&x + block.linear2.forward(&y)?)?;
+            x = (&x + turned_attention(&block.memory, &y, &keys, memory, pointers, &self.rotary)?)?;
+            x = (&x + mlp(&block.norms[2].forward(&x)?, &block.mlp, Activation::Relu)?)?;
         }
         self.norm.forward(&x)
     }
@@ -133,8 +106,7 @@ struct Fuser {
     taps: Tensor,
     bias: Tensor,
     norm: LayerNorm,
-    wide: Linear,
-    narrow: Linear,
+    mlp: Vec<Linear>,
     scale: Tensor,
     kernel: usize,
 }
@@ -171,12 +143,11 @@ impl MemoryEncoder {
         let fusers = (0..config.memory_fuser_num_layers).map(|i| {
             let layer = at.at("memory_fuser.layers").at(i);
             let weight = layer.tensor("depthwise_conv.weight", &[c, 1, kernel, kernel])?;
-            Ok::<_, NetsError>(Fuser {
+            Loaded::Ok(Fuser {
                 taps: weight.reshape((c, kernel * kernel))?.t()?.contiguous()?,
                 bias: layer.tensor("depthwise_conv.bias", &[c])?,
                 norm: layer.layer_norm("layer_norm", c, 1e-6)?,
-                wide: layer.linear("pointwise_conv1", c, inner)?,
-                narrow: layer.linear("pointwise_conv2", inner, c)?,
+                mlp: layer.feed_forward(["pointwise_conv1", "pointwise_conv2"], c, inner)?,
                 scale: layer.tensor("scale", &[c])?,
                 kernel,
             })
@@ -205,8 +176,8 @@ impl MemoryEncoder {
         let mut x = (features + mask)?;
         for fuser in &self.fusers {
             let y = depthwise(&x, &fuser.taps, &fuser.bias, fuser.kernel)?;
-            let y = fuser.wide.then(&fuser.norm.forward(&y)?, Activation::Gelu)?;
-            x = (x + fuser.narrow.forward(&y)?.broadcast_mul(&fuser.scale)?)?;
+            let y = mlp(&fuser.norm.forward(&y)?, &fuser.mlp, Activation::Gelu)?;
+            x = (x + y.broadcast_mul(&fuser.scale)?)?;
         }
         self.projection.forward(&x)?.flatten(0, 2)
     }

@@ -5,11 +5,10 @@ use super::decoder::{Decoded, MaskDecoder, feed_forward};
 use super::encoder::{Encoder, ImageFeatures};
 use super::memory::{MemoryAttention, MemoryEncoder};
 use super::prompt::{PromptEncoder, grid_positions};
-use crate::kernels::Activation;
-use crate::kernels::resize_bilinear;
+use crate::kernels::{Activation, resize_bilinear};
 use crate::ops::{Linear, TensorObserver, mlp};
 use crate::owlv2::PixelBox;
-use crate::{NetsError, Weights};
+use crate::weights::{Loaded, Weights};
 use candle_core::{Device, Result, Tensor};
 
 /// Logit of masks of absent objects.
@@ -66,8 +65,8 @@ impl Sam2 {
     /// Builds the model of `config` with these weights.
     ///
     /// # Errors
-    /// [`NetsError::Input`] if the weights belong to another model.
-    pub fn new(config: &Sam2Config, weights: &Weights) -> std::result::Result<Self, NetsError> {
+    /// [`crate::NetsError::Input`] if the weights belong to another model.
+    pub fn new(config: &Sam2Config, weights: &Weights) -> Loaded<Self> {
         let (c, memory) = (config.hidden(), config.memory_encoder_output_channels);
         let shared = weights.tensor("shared_image_embedding.positional_embedding", &[2, c / 2])?;
         // Box prompts do not use these tensors; reading them detects files without them.
@@ -142,26 +141,34 @@ impl Sam2 {
         (width, height): (usize, usize),
     ) -> Result<ObjectMask> {
         let corners = self.box_prompt(bbox, (width, height));
-        let (decoded, _) = self.decode_box(features, corners, &mut TensorObserver::none())?;
-        let chosen = decoded.single(&self.config.mask_decoder_config)?;
-        self.object_mask(&decoded, chosen.mask)
+        let decoded = self.decode_box(features, corners, &mut TensorObserver::none())?;
+        let mask = decoded.single(&self.config.mask_decoder_config)?;
+        self.object_mask(&decoded, mask)
     }
 
-    /// Decodes a box, in model pixels, without memories; also returns the decoded features.
+    /// Decodes a box, in model pixels, without memories.
     pub(crate) fn decode_box(
         &self,
         features: &ImageFeatures,
         corners: [f64; 4],
         observer: &mut TensorObserver<'_>,
-    ) -> Result<(Decoded, Tensor)> {
+    ) -> Result<Decoded> {
         let conditioned = features.coarse.broadcast_add(&self.no_memory)?;
-        let prompt = self.prompts.of_box(corners, &self.device)?;
-        observer.show("sparse_prompt", || Ok(prompt.clone()))?;
         let side = self.config.grid();
         observer.show("decoder_image_embedding", || conditioned.t()?.reshape((1, (), side, side)))?;
-        let decoded =
-            self.decoder.forward(features, &conditioned, &prompt, &self.prompts.no_mask, &self.places)?;
-        Ok((decoded, conditioned))
+        self.decode(features, &conditioned, self.prompts.of_box(corners, &self.device)?, observer)
+    }
+
+    /// Decodes a prompt (tokens, c) on the features of stride 16, conditioned on memories or their absence.
+    pub(crate) fn decode(
+        &self,
+        features: &ImageFeatures,
+        conditioned: &Tensor,
+        prompt: Tensor,
+        observer: &mut TensorObserver<'_>,
+    ) -> Result<Decoded> {
+        observer.show("sparse_prompt", || Ok(prompt.clone()))?;
+        self.decoder.forward(features, conditioned, &prompt, &self.prompts.no_mask, &self.places)
     }
 
     /// Returns one of the decoded masks, emptied if the object is not in the picture.

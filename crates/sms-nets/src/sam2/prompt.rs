@@ -2,7 +2,7 @@
 
 use super::config::Sam2Config;
 use super::positions::fourier;
-use crate::{NetsError, Weights};
+use crate::weights::{Loaded, Weights};
 use candle_core::{Device, Result, Tensor};
 
 /// The prompt encoder.
@@ -19,11 +19,7 @@ pub(crate) struct PromptEncoder {
 impl PromptEncoder {
     /// `shared` are the random Fourier features of the image's positions; released files omit the prompt encoder's
     /// copy of them.
-    pub(crate) fn new(
-        config: &Sam2Config,
-        shared: &Tensor,
-        weights: &Weights,
-    ) -> std::result::Result<Self, NetsError> {
+    pub(crate) fn new(config: &Sam2Config, shared: &Tensor, weights: &Weights) -> Loaded<Self> {
         let c = config.hidden();
         let at = weights.at("prompt_encoder");
         // Mask prompts are not used; reading their tensors detects files without them.

@@ -1,6 +1,5 @@
 //! Tracking through a video. Each object has its own bank of memories.
 
-use super::decoder::SelectedMask;
 use super::encoder::ImageFeatures;
 use super::model::{ObjectMask, Sam2};
 use super::positions::sine_1d;
@@ -19,12 +18,8 @@ struct Memory {
     pointer: Tensor,
 }
 
-/// An object's memories by frame; the first is the prompted one.
-#[derive(Debug, Default)]
-struct Bank {
-    prompted: usize,
-    frames: BTreeMap<usize, Memory>,
-}
+/// An object's memories by frame; frame 0 is the prompted one.
+type Bank = BTreeMap<usize, Memory>;
 
 /// Tracks objects through a video, frame by frame.
 #[derive(Debug)]
@@ -33,6 +28,7 @@ pub struct Tracker<'a> {
     banks: Vec<Bank>,
     /// Box of each object, in model pixels.
     boxes: Vec<[f64; 4]>,
+    /// Index of the next frame.
     frame: usize,
     frames: usize,
 }
@@ -88,26 +84,18 @@ impl<'a> Tracker<'a> {
         observer: &mut TensorObserver<'_>,
     ) -> Result<(ObjectMask, Tensor)> {
         let model = self.model;
-        let is_prompted = self.frame == self.banks[object].prompted;
-        let (decoded, chosen) = if is_prompted {
-            let (decoded, _) = model.decode_box(features, self.boxes[object], observer)?;
-            let chosen = decoded.single(&model.config.mask_decoder_config)?;
-            (decoded, chosen)
+        let is_prompted = self.frame == 0;
+        // On the prompted frame, the pointer always comes from the single mask.
+        let (decoded, mask, token) = if is_prompted {
+            let decoded = model.decode_box(features, self.boxes[object], observer)?;
+            let mask = decoded.single(&model.config.mask_decoder_config)?;
+            (decoded, mask, 0)
         } else {
             let conditioned = self.conditioned(object, features, observer)?;
-            let prompt = model.prompts.of_nothing()?;
-            observer.show("sparse_prompt", || Ok(prompt.clone()))?;
-            let decoded = model.decoder.forward(
-                features,
-                &conditioned,
-                &prompt,
-                &model.prompts.no_mask,
-                &model.places,
-            )?;
-            let chosen = decoded.best_of_three();
-            (decoded, chosen)
+            let decoded = model.decode(features, &conditioned, model.prompts.of_nothing()?, observer)?;
+            let mask = decoded.best_of_three();
+            (decoded, mask, mask)
         };
-        let SelectedMask { mask, token } = chosen;
         let shown = if is_prompted { (mask, 1) } else { (1, decoded.iou.len() - 1) };
         let shown_tokens = if is_prompted { (0, 1) } else { shown };
         observer.show("decoder_masks", || decoded.masks.narrow(0, shown.0, shown.1))?;
@@ -152,12 +140,10 @@ impl<'a> Tracker<'a> {
     fn keep(&mut self, object: usize, memory: Memory) {
         let config = &self.model.config;
         let (frame, bank) = (self.frame, &mut self.banks[object]);
-        bank.frames.insert(frame, memory);
-        let prompted = bank.prompted;
-        bank.frames
-            .retain(|&at, _| at == prompted || frame - at < config.max_object_pointers_in_encoder.max(1));
-        for (&at, memory) in &mut bank.frames {
-            if at != prompted && frame - at + 1 >= config.num_maskmem {
+        bank.insert(frame, memory);
+        bank.retain(|&at, _| at == 0 || frame - at < config.max_object_pointers_in_encoder.max(1));
+        for (&at, memory) in bank {
+            if at != 0 && frame - at + 1 >= config.num_maskmem {
                 memory.features = None;
             }
         }
@@ -184,17 +170,14 @@ impl<'a> Tracker<'a> {
             Ok(())
         };
         // The prompted frame comes first, with the last of the times, then the others from the oldest to the newest.
-        add(bank.frames.get(&bank.prompted), last)?;
-        let tracked = |age: usize| {
-            let at = frame.checked_sub(age).filter(|&at| at != bank.prompted)?;
-            bank.frames.get(&at)
-        };
+        add(bank.get(&0), last)?;
+        let tracked = |age: usize| bank.get(&frame.checked_sub(age).filter(|&at| at != 0)?);
         for age in (1..=last).rev() {
             add(tracked(age), age - 1)?;
         }
         let most = config.max_object_pointers_in_encoder.min(self.frames);
         let mut pointers: Vec<(usize, &Tensor)> = Vec::new();
-        pointers.extend(bank.frames.get(&bank.prompted).map(|m| (frame - bank.prompted, &m.pointer)));
+        pointers.extend(bank.get(&0).map(|m| (frame, &m.pointer)));
         pointers.extend((1..most).filter_map(|age| Some((age, &tracked(age)?.pointer))));
         // A pointer has the channels of several memory tokens, so it is split.
         let channels = config.memory_encoder_output_channels;

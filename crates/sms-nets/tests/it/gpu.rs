@@ -1,11 +1,12 @@
 //! The full-size networks with random weights on a GPU, compared with the CPU. Unlike the small fixtures, they use the
 //! kernels for large attention, many windows and long rows.
 
+use crate::random::random_weights;
 use crate::support::{TOLERANCE, gpu};
 use candle_core::{DType, Device, Tensor};
+use sms_nets::TensorObserver;
 use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox, Tokens};
 use sms_nets::sam2::{Sam2, Sam2Config, Tracker};
-use sms_nets::{TensorObserver, Weights};
 use std::collections::BTreeMap;
 
 /// Observed tensors by name.
@@ -52,7 +53,7 @@ fn owlv2_in_full_size_is_the_same_on_a_gpu() {
     let (_, device) = gpu().unwrap();
     let of = |device: &Device| {
         let mut observed = Observed::new();
-        let model = Owlv2::new(&Owlv2Config::base_patch16(), &Weights::random(5, device)).unwrap();
+        let model = Owlv2::new(&Owlv2Config::base_patch16(), &random_weights(5, device)).unwrap();
         let ids = |i: u32| (0..16).map(|j| if j < 5 { 49_000 + 37 * i + j } else { 0 }).collect();
         let queries: Vec<Tokens> = (0..3).map(|i| Tokens { ids: ids(i), used: 5, is_cut: false }).collect();
         let text =
@@ -75,7 +76,7 @@ fn sam2_in_full_size_is_the_same_on_a_gpu() {
     let (_, device) = gpu().unwrap();
     let of = |device: &Device| {
         let mut observed = Observed::new();
-        let model = Sam2::new(&Sam2Config::default(), &Weights::random(5, device)).unwrap();
+        let model = Sam2::new(&Sam2Config::default(), &random_weights(5, device)).unwrap();
         let boxes = [PixelBox { x0: 100.0, y0: 80.0, x1: 260.0, y1: 200.0 }];
         let mut tracker = Tracker::new(&model, &boxes, (640, 400), 3);
         for frame in 0..2 {

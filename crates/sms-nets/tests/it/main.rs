@@ -3,6 +3,7 @@
 mod gpu;
 mod hub;
 mod owlv2;
+mod random;
 mod sam2;
 mod segmenter;
 mod support;

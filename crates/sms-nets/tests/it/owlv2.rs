@@ -1,9 +1,10 @@
 //! OWLv2 against the reference implementation.
 
-use crate::support::{Reference, data, devices, full_size, made_up, reference_folder, weights};
+use crate::random::random_weights;
+use crate::support::{Reference, data, devices, full_size, made_up, reference_folder, requested, weights};
 use candle_core::{Device, Tensor};
+use sms_nets::TensorObserver;
 use sms_nets::owlv2::{ClipTokenizer, Owlv2, Owlv2Config, Tokens, detections, pixel_values};
-use sms_nets::{TensorObserver, Weights};
 use std::path::Path;
 
 fn config(folder: &Path) -> Owlv2Config {
@@ -71,9 +72,8 @@ fn every_seam_equals_the_reference() {
 fn results_equal_the_reference_with_synthetic_weights() {
     let folder = data("owlv2");
     let config = config(&folder);
-    let names = Weights::zeros();
-    Owlv2::new(&config, &names).unwrap();
-    let made_up = made_up(&names.requested(), 20_250_515, |_, _| {});
+    let shapes = requested(|weights| Owlv2::new(&config, weights));
+    let made_up = made_up(&shapes, 20_250_515, |_, _| {});
     for (name, device) in devices() {
         let mut reference = Reference::open(&folder.join("reference.safetensors"), name);
         let model = Owlv2::new(&config, &weights(made_up.path(), &device)).unwrap();
@@ -86,19 +86,16 @@ fn results_equal_the_reference_with_synthetic_weights() {
 
 #[test]
 fn the_full_size_model_asks_for_exactly_the_released_parameters() {
-    let weights = Weights::zeros();
-    Owlv2::new(&Owlv2Config::base_patch16(), &weights).unwrap();
-    assert_eq!(weights.requested(), full_size("owlv2-base-patch16-ensemble"));
+    let shapes = requested(|weights| Owlv2::new(&Owlv2Config::base_patch16(), weights));
+    assert_eq!(shapes, full_size("owlv2-base-patch16-ensemble"));
 }
 
 #[test]
 fn a_config_that_says_little_is_the_base_model() {
     let config: Owlv2Config =
         serde_json::from_str(r#"{"model_type":"owlv2","vision_config":{"image_size":960}}"#).unwrap();
-    let (ours, theirs) = (Weights::zeros(), Weights::zeros());
-    Owlv2::new(&config, &ours).unwrap();
-    Owlv2::new(&Owlv2Config::base_patch16(), &theirs).unwrap();
-    assert_eq!(ours.requested(), theirs.requested());
+    let of = |config: &Owlv2Config| requested(|weights| Owlv2::new(config, weights));
+    assert_eq!(of(&config), of(&Owlv2Config::base_patch16()));
 }
 
 #[test]
@@ -107,7 +104,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
     let run = |threads: usize, device: &Device| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let model = Owlv2::new(&config(&folder), &Weights::random(3, device)).unwrap();
+            let model = Owlv2::new(&config(&folder), &random_weights(3, device)).unwrap();
             let pixels = pixel_values(&crate::support::frame(2), 96, device).unwrap();
             let features = model.image(&pixels, &mut TensorObserver::none()).unwrap();
             features

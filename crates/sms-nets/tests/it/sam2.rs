@@ -1,10 +1,12 @@
 //! SAM 2.1 against the reference implementation.
 
-use crate::support::{Reference, TOLERANCE, data, devices, full_size, made_up, reference_folder, weights};
+use crate::support::{
+    Reference, TOLERANCE, data, devices, full_size, made_up, reference_folder, requested, weights,
+};
 use candle_core::{DType, Device, Tensor};
+use sms_nets::TensorObserver;
 use sms_nets::owlv2::PixelBox;
 use sms_nets::sam2::{Sam2, Sam2Config, Tracker, pixel_values};
-use sms_nets::{TensorObserver, Weights};
 use std::path::Path;
 
 const SIZE: (usize, usize) = (150, 100);
@@ -90,9 +92,7 @@ fn images_are_prepared_as_the_reference_does() {
 fn tracking_equals_the_reference_with_weights_made_up_here() {
     let folder = data("sam2");
     let config = config(&folder);
-    let names = Weights::zeros();
-    Sam2::new(&config, &names).unwrap();
-    let mut shapes = names.requested();
+    let mut shapes = requested(|weights| Sam2::new(&config, weights));
     // Tied to the image's embedding.
     shapes.remove("prompt_encoder.shared_embedding.positional_embedding");
     let made_up = made_up(&shapes, 20_250_534, |name, values| match name {
@@ -130,9 +130,8 @@ fn memories_in_f32_differ_from_the_librarys_rounded_ones_as_the_reference_says()
 
 #[test]
 fn the_full_size_model_asks_for_exactly_the_released_parameters() {
-    let weights = Weights::zeros();
-    Sam2::new(&Sam2Config::default(), &weights).unwrap();
-    assert_eq!(weights.requested(), full_size("sam2.1-hiera-tiny"));
+    let shapes = requested(|weights| Sam2::new(&Sam2Config::default(), weights));
+    assert_eq!(shapes, full_size("sam2.1-hiera-tiny"));
 }
 
 /// The larger models differ only in the sizes of their encoders. Their configurations come from the conversion script
@@ -150,9 +149,7 @@ fn the_larger_models_have_as_many_parameters_as_published() {
         let json = format!(r#"{{"vision_config": {{"backbone_config": {backbone}}}}}"#);
         let config: Sam2Config = serde_json::from_str(&json).unwrap();
         assert_eq!(config.fault(), None);
-        let weights = Weights::zeros();
-        Sam2::new(&config, &weights).unwrap();
-        let shapes = weights.requested();
+        let shapes = requested(|weights| Sam2::new(&config, weights));
         let count: usize = shapes.values().map(|s| s.iter().product::<usize>()).sum();
         let millions = count as f64 / 1e6;
         println!("{millions:.2} million parameters, published {published_millions}");

@@ -1,7 +1,7 @@
 //! The whole path from a sequence to labels with small random models: the labels are meaningless, but well-formed and
 //! reproducible. Also errors for bad input.
 
-use crate::support::{data, devices, made_up};
+use crate::support::{data, devices, made_up, requested};
 use glamx::{DPose3, DVec3};
 use sms_core::{
     Camera, Cancel, ColorImage, CoreError, DepthImage, Image, Intrinsics, Labels, MaskSource, NormalImage,
@@ -11,20 +11,19 @@ use sms_frames::{Frame, LoadSettings, ReadOptions, Recording, Sequence, load};
 use sms_masks::{MasksError, Segmenter};
 use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox};
 use sms_nets::sam2::{Sam2, Sam2Config};
-use sms_nets::{Device, ModelFolders, NamedBox, NetsConfig, NetsMasks, Track, Weights};
+use sms_nets::{Device, ModelFolders, NamedBox, NetsConfig, NetsMasks, Track};
 use std::path::{Path, PathBuf};
 
 /// Returns a folder with a model in its repository's layout.
 fn folder(model: &str) -> tempfile::TempDir {
-    let names = Weights::zeros();
     let json = std::fs::read(data(model).join("config.json")).unwrap();
-    if model == "owlv2" {
-        Owlv2::new(&serde_json::from_slice::<Owlv2Config>(&json).unwrap(), &names).unwrap();
+    let shapes = if model == "owlv2" {
+        requested(|names| Owlv2::new(&serde_json::from_slice::<Owlv2Config>(&json).unwrap(), names))
     } else {
-        Sam2::new(&serde_json::from_slice::<Sam2Config>(&json).unwrap(), &names).unwrap();
-    }
+        requested(|names| Sam2::new(&serde_json::from_slice::<Sam2Config>(&json).unwrap(), names))
+    };
     // The weights make the model predict that objects are present.
-    let folder = made_up(&names.requested(), 20_250_534, |name, values| {
+    let folder = made_up(&shapes, 20_250_534, |name, values| {
         if name == "mask_decoder.pred_obj_score_head.proj_out.bias" {
             values.fill(2.0);
         }

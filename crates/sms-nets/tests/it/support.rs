@@ -8,9 +8,10 @@
 //! `SMS_TEST_DEVICE=cpu|gpu` selects one of them; with `gpu`, a missing GPU is a failure.
 
 use candle_core::{DType, Device, Tensor};
-use sms_nets::{SafetensorsFile, Shapes, Weights};
+use sms_nets::{NetsError, Weights, WeightsSource};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 
 /// Greatest difference from the reference's tensors.
 pub(crate) const TOLERANCE: f32 = 1e-4;
@@ -75,7 +76,7 @@ pub(crate) struct Reference {
 
 impl Reference {
     pub(crate) fn open(path: &Path, device: &'static str) -> Self {
-        let tensors = SafetensorsFile::open(path).unwrap().all(&Device::Cpu).unwrap();
+        let tensors = candle_core::safetensors::load(path, &Device::Cpu).unwrap().into_iter().collect();
         Self { tensors, gaps: BTreeMap::new(), device }
     }
 
@@ -117,6 +118,38 @@ impl Reference {
             expected.filter(|n| !self.gaps.contains_key(*n) && !except.contains(&n.as_str())).collect();
         assert!(missed.is_empty(), "never compared: {missed:?}");
     }
+}
+
+/// Names and shapes of parameters.
+pub(crate) type Shapes = BTreeMap<String, Vec<usize>>;
+
+/// Zeros for every name, with a record of the requests.
+#[derive(Debug, Default)]
+struct Zeros(Mutex<Shapes>);
+
+impl WeightsSource for Zeros {
+    fn holds(&self, _name: &str) -> bool {
+        true
+    }
+
+    fn tensor(&self, name: &str, shape: &[usize], device: &Device) -> Result<Tensor, NetsError> {
+        self.0.lock().unwrap().insert(name.to_owned(), shape.to_vec());
+        Ok(Tensor::zeros(shape, DType::F32, device)?)
+    }
+}
+
+/// Returns the parameters that a network requests when it is built.
+pub(crate) fn requested<T>(build: impl FnOnce(&Weights) -> Result<T, NetsError>) -> Shapes {
+    let zeros = Arc::new(Zeros::default());
+    build(&Weights::new(zeros.clone(), &Device::Cpu)).unwrap();
+    let shapes = zeros.0.lock().unwrap();
+    shapes.clone()
+}
+
+#[test]
+fn prefixes_join_and_requests_are_kept() {
+    let shapes = requested(|weights| weights.at("a").at(3).at("fc").tensor("weight", &[5, 2]));
+    assert_eq!(shapes, [("a.3.fc.weight".into(), vec![5, 2])].into_iter().collect());
 }
 
 /// Returns names and shapes of a full-size model, as in its repository on the hub.
