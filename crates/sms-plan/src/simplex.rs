@@ -1,7 +1,20 @@
 //! The downhill simplex method as a state machine in ask-and-tell form. Searches can be stopped and continued, and
 //! many of them can be evaluated in parallel.
 
-use crate::{BoxBounds, Minimum, NelderMead};
+use crate::{BoxBounds, NelderMead};
+
+/// The result of a search.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Minimum {
+    /// The best point.
+    pub x: Vec<f64>,
+    /// Its objective; infinite if nothing could be evaluated.
+    pub objective: f64,
+    /// Points evaluated.
+    pub evaluations: usize,
+    /// Iterations of the method.
+    pub iterations: usize,
+}
 
 #[derive(Debug, Clone)]
 struct Vertex {

@@ -4,7 +4,7 @@ use crate::counter::Counter;
 use crate::rollout_outcome::RolloutOutcome;
 use crate::{Perturbation, PlanError, Unknown};
 use rayon::prelude::*;
-use sms_core::{Cancel, Seed};
+use sms_core::Seed;
 use sms_scene::Scene;
 use sms_sim::{SimError, Simulation, Striker, StrikerMotion, WorldFactory, WorldOptions};
 use sms_task::{Action, MotionRecording, ResolvedTask, Rollout, WorldBodies};
@@ -62,17 +62,14 @@ impl<'a> Worlds<'a> {
 
 /// A family of perturbed worlds. The same index gives the same world for every action (common random numbers).
 #[derive(Clone, Copy)]
-pub struct WorldFamily<'a> {
-    /// The task.
-    pub task: &'a ResolvedTask,
+pub(crate) struct WorldFamily<'a> {
+    pub(crate) task: &'a ResolvedTask,
     /// The unperturbed scene.
-    pub scene: &'a Scene,
-    /// The engine.
-    pub factory: &'a dyn WorldFactory,
+    pub(crate) scene: &'a Scene,
+    pub(crate) factory: &'a dyn WorldFactory,
     /// Errors in worlds and strikes.
-    pub perturbation: &'a Perturbation,
-    /// Seed of the family.
-    pub seed: Seed,
+    pub(crate) perturbation: &'a Perturbation,
+    pub(crate) seed: Seed,
 }
 
 /// Some worlds of a family, with the simulations of each.
@@ -125,9 +122,9 @@ impl<'a> PerturbedWorlds<'a> {
         // Grouped by world, so that each thread builds each world at most once.
         let mut order: Vec<usize> = (0..jobs.len()).collect();
         order.sort_by_key(|&j| jobs[j].0);
-        let found: Vec<(RolloutOutcome, Option<T>)> = order
-            .par_iter()
-            .map(|&j| {
+        let mut found: Vec<(usize, (RolloutOutcome, Option<T>))> = order
+            .into_par_iter()
+            .map(|j| {
                 let (index, world) = &self.worlds[jobs[j].0];
                 let asked = self.family.task.strike(jobs[j].1.borrow());
                 let mut seen = None;
@@ -142,15 +139,11 @@ impl<'a> PerturbedWorlds<'a> {
                     seen = Some(look(&rollout));
                     Ok(rollout.objective)
                 })?;
-                Ok((shot, seen))
+                Ok((j, (shot, seen)))
             })
             .collect::<Result<_, PlanError>>()?;
-        let mut values: Vec<(RolloutOutcome, Option<T>)> =
-            std::iter::repeat_with(|| (RolloutOutcome::Invalid, None)).take(jobs.len()).collect();
-        for (j, value) in order.into_iter().zip(found) {
-            values[j] = value;
-        }
-        Ok(values)
+        found.sort_by_key(|(j, _)| *j);
+        Ok(found.into_iter().map(|(_, outcome)| outcome).collect())
     }
 
     /// The objectives of each action in the worlds `range` (positions, not indices), in the order of the worlds.
@@ -172,34 +165,11 @@ impl<'a> PerturbedWorlds<'a> {
         counter: &Counter<'_>,
         look: &(dyn Fn(&Rollout) -> T + Sync),
     ) -> Result<Vec<Vec<(RolloutOutcome, Option<T>)>>, PlanError> {
-        let (first, count) = (range.start, range.len());
-        let pairs: Vec<(usize, usize)> =
-            range.flat_map(|w| (0..actions.len()).map(move |a| (w, a))).collect();
-        let jobs: Vec<(usize, &Action)> = pairs.iter().map(|&(w, a)| (w, &actions[a])).collect();
-        let values = self.look_each(&jobs, counter, look)?;
-        let nothing = || std::iter::repeat_with(|| (RolloutOutcome::Invalid, None)).take(count).collect();
-        let mut rows: Vec<Vec<(RolloutOutcome, Option<T>)>> =
-            std::iter::repeat_with(nothing).take(actions.len()).collect();
-        for ((w, a), value) in pairs.into_iter().zip(values) {
-            rows[a][w - first] = value;
+        let jobs: Vec<(usize, &Action)> = range.flat_map(|w| actions.iter().map(move |a| (w, a))).collect();
+        let mut rows: Vec<Vec<_>> = actions.iter().map(|_| Vec::new()).collect();
+        for (k, outcome) in self.look_each(&jobs, counter, look)?.into_iter().enumerate() {
+            rows[k % actions.len()].push(outcome);
         }
         Ok(rows)
     }
-}
-
-/// Carries out an action in the first `count` worlds of a family. Returns the objectives in the order of the worlds,
-/// infinite for invalid rollouts. This measures the value of a plan, because the planner's own families have other
-/// seeds.
-///
-/// # Errors
-/// [`PlanError`]: a scene that cannot be simulated, or interruption.
-pub fn rehearse(
-    family: WorldFamily<'_>,
-    action: &Action,
-    count: usize,
-    cancel: &Cancel,
-) -> Result<Vec<f64>, PlanError> {
-    let worlds = PerturbedWorlds::new(family, 0..count, &|_| true)?;
-    let counter = Counter::new(&sms_core::NoProgress, cancel);
-    Ok(worlds.objectives(std::slice::from_ref(action), 0..count, &counter)?.remove(0))
 }

@@ -6,3 +6,4 @@ mod arm;
 mod common;
 mod nelder_mead;
 mod planning;
+mod rehearsal;
