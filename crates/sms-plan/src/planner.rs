@@ -7,7 +7,7 @@ use crate::explain::Explanation;
 use crate::robust::RobustChoice;
 use crate::rollout_outcome::RolloutOutcome;
 use crate::screening::Feasible;
-use crate::search::{SearchLog, search, search_by};
+use crate::search::{SearchLog, optimiser, search, search_by};
 use crate::sensitivity_analysis::SensitivityAnalysis;
 use crate::session::Session;
 use crate::space::Space;
@@ -235,16 +235,8 @@ impl<'a> Planning<'a> {
         let look = |rollout: &Rollout| (session.strategy_of(rollout), touched(rollout, session.scene));
         let rows = worlds.look(&actions, 0..worlds.len(), &session.counter, &look)?;
         for (i, row) in rows.iter().enumerate() {
-            for (w, outcome) in outcomes(row).into_iter().enumerate() {
-                let (action, objective) = (actions[i].clone(), outcome.objective());
-                self.found.trials.push(Trial::new(
-                    TrialPhase::Forecast,
-                    i as i32,
-                    w as i32,
-                    action,
-                    objective,
-                ));
-            }
+            let objectives: Vec<f64> = row.iter().map(|o| o.0.objective()).collect();
+            self.found.trials.extend(Trial::row(TrialPhase::Forecast, i, 0, &actions[i], &objectives));
         }
         Ok(rows)
     }
@@ -345,14 +337,9 @@ pub fn search_nominal(
     context: StageContext<'_>,
 ) -> Result<NominalSearch, PlanError> {
     config.validate(Path::new(SETTINGS))?;
-    let space = Space::new(task);
-    let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
-    let counter = Counter::new(&NoProgress, context.cancel);
-    let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
-    let found = search(&space, config, context.seed.derive("search"), budget, &feasible, &|x| {
-        counter.count(|| nominal.objective(&task.strike(&space.action(x))))
-    })?;
-    Ok(NominalSearch { trials: found.trials, starts: found.starts })
+    let seed = context.seed.derive("search");
+    let make = |space: &Space, feasible: Feasible<'_>| optimiser(space, config, seed, feasible);
+    search_nominal_by(task, scene, factory, &make, budget, context.cancel)
 }
 
 /// Constructs an optimiser for the box of actions. It may first try points that are feasible.

@@ -192,10 +192,7 @@ impl RobustChoice<'_> {
         let actions: Vec<Action> = who.iter().map(|&i| all[i].action.clone()).collect();
         let rows = worlds.objectives(&actions, range.clone(), &self.session.counter)?;
         for (&i, row) in who.iter().zip(rows) {
-            for (w, &objective) in range.clone().zip(&row) {
-                let action = all[i].action.clone();
-                trials.push(Trial::new(TrialPhase::Perturbed, i as i32, w as i32, action, objective));
-            }
+            trials.extend(Trial::row(TrialPhase::Perturbed, i, range.start, &all[i].action, &row));
             all[i].outcomes.extend(row);
         }
         Ok(())

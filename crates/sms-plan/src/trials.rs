@@ -65,6 +65,20 @@ impl Trial {
         let objective = if valid { objective } else { f64::INFINITY };
         Self { phase, start, iteration, action, objective, valid }
     }
+
+    /// Returns the trials of an action in consecutive worlds from the index `first` on.
+    pub(crate) fn row<'a>(
+        phase: TrialPhase,
+        start: usize,
+        first: usize,
+        action: &'a Action,
+        objectives: &'a [f64],
+    ) -> impl Iterator<Item = Self> + 'a {
+        let trial = move |(w, &objective): (usize, &f64)| {
+            Self::new(phase, start as i32, w as i32, action.clone(), objective)
+        };
+        (first..).zip(objectives).map(trial)
+    }
 }
 
 /// Writes `trials.parquet`: `phase`, `start`, `iteration`, one column per parameter (under its name), `objective` and
