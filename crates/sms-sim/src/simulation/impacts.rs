@@ -64,18 +64,14 @@ impl Simulation {
 
     fn path(&self, body: BodyId, supports: &[BallSupport]) -> Path<'_> {
         if let Some(strike) = self.strikes.iter().find(|s| s.body == body) {
-            match &strike.by {
+            let acceleration_w = match &strike.by {
                 By::Finger(motion) => {
                     return Path::Sweep { motion, start_s: self.world_s - strike.start_s };
                 }
-                By::EngineArm(_) => {
-                    return Path::Free { state: &self.states[body], acceleration_w: DVec3::ZERO };
-                }
-                By::Arm(arm) => {
-                    let acceleration_w = arm.acceleration_w();
-                    return Path::Free { state: &self.states[body], acceleration_w };
-                }
-            }
+                By::EngineArm(_) => DVec3::ZERO,
+                By::Arm(arm) => arm.acceleration_w,
+            };
+            return Path::Free { state: &self.states[body], acceleration_w };
         }
         let is_flying = matches!(self.bodies[body].kind, Kind::Ball { .. })
             && !supports[body].touching
