@@ -70,7 +70,7 @@ pub fn plan(
     progress.end(&format!("best of {} shots: {:.1} mm", planning.evaluations, 1e3 * planning.found.best()));
     let chosen = planning.choose()?;
     let forecast = planning.forecast(&chosen)?;
-    let counts = planning.search_counts();
+    let (searched, refused) = planning.considered();
     let predictions: Vec<Option<Prediction>> =
         forecast.iter().map(|row| Prediction::of(&outcomes(row), |v| task.is_success(v))).collect();
     let winner = &chosen[0];
@@ -104,8 +104,8 @@ pub fn plan(
         evaluations: counter.done() + 1,
         invalid: counter.invalid(),
         invalid_rollouts: counter.invalid_rollouts(),
-        searched: counts.searched,
-        refused: counts.refused,
+        searched,
+        refused,
         striker: task.striker_name(),
         robot: task.arm().map(|a| a.settings().clone()),
         starts: planning.found.starts,
@@ -133,12 +133,6 @@ struct Planning<'a> {
     evaluations: usize,
     /// Strikes refused in place of a rollout during the search.
     struck: Reasons,
-}
-
-/// Number of actions considered by the search and the scan.
-struct SearchCounts {
-    searched: usize,
-    refused: Vec<Refusal>,
 }
 
 /// The outcome of a shot in a forecast world. A simulated shot has the strategy that it followed and the bodies that it
@@ -207,7 +201,7 @@ impl<'a> Planning<'a> {
     }
 
     fn perturbed_worlds(&self, indices: Range<usize>) -> Result<PerturbedWorlds<'a>, PlanError> {
-        self.session.perturbed_worlds(self.session.seed.derive("disturbed"), indices)
+        PerturbedWorlds::new(self.session, self.session.seed.derive("disturbed"), indices, &|_| true)
     }
 
     /// The best action of each strategy, best strategy first; at least one.
@@ -233,7 +227,7 @@ impl<'a> Planning<'a> {
         let worlds = self.perturbed_worlds(first..first + count)?;
         let actions: Vec<Action> = chosen.iter().map(|c| c.action.clone()).collect();
         let look = |rollout: &Rollout| (session.strategy_of(rollout), touched(rollout, session.scene));
-        let rows = worlds.look(&actions, 0..worlds.len(), &session.counter, &look)?;
+        let rows = worlds.look(&actions, 0..worlds.len(), &look)?;
         for (i, row) in rows.iter().enumerate() {
             let objectives: Vec<f64> = row.iter().map(|o| o.0.objective()).collect();
             self.found.trials.extend(Trial::row(TrialPhase::Forecast, i, 0, &actions[i], &objectives));
@@ -241,13 +235,14 @@ impl<'a> Planning<'a> {
         Ok(rows)
     }
 
-    /// Actions considered so far: rollouts of the search, points of the scan and refused points of both.
-    fn search_counts(&self) -> SearchCounts {
+    /// The number of actions considered so far (rollouts of the search, points of the scan and refused points of both),
+    /// and the refused ones.
+    fn considered(&self) -> (usize, Vec<Refusal>) {
         let is_scan = |t: &&Trial| t.phase == TrialPhase::Perturbed && t.start == -1;
         let scanned = self.found.trials.iter().filter(is_scan).count();
         let refused = self.session.counter.refusals(&self.struck);
         let struck = self.struck.values().sum::<usize>();
-        SearchCounts { searched: self.evaluations + scanned + total(&refused) - struck, refused }
+        (self.evaluations + scanned + total(&refused) - struck, refused)
     }
 
     /// Records the motion of an action in the nominal world. Returns `None` if the rollout is not valid to its end,

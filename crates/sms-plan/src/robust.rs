@@ -190,7 +190,7 @@ impl RobustChoice<'_> {
         trials: &mut Vec<Trial>,
     ) -> Result<(), PlanError> {
         let actions: Vec<Action> = who.iter().map(|&i| all[i].action.clone()).collect();
-        let rows = worlds.objectives(&actions, range.clone(), &self.session.counter)?;
+        let rows = worlds.objectives(&actions, range.clone())?;
         for (&i, row) in who.iter().zip(rows) {
             trials.extend(Trial::row(TrialPhase::Perturbed, i, range.start, &all[i].action, &row));
             all[i].outcomes.extend(row);

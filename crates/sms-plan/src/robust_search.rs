@@ -40,7 +40,7 @@ impl RobustChoice<'_> {
             .enumerate()
             .map(|(i, s)| (i % worlds.len(), self.session.space.action(&s.x)))
             .collect();
-        let values = worlds.each(&jobs, &self.session.counter)?;
+        let values = worlds.each(&jobs)?;
         let mut order: Vec<usize> = (0..scanned.len()).filter(|&i| values[i].is_finite()).collect();
         order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
         for ((world, action), &objective) in jobs.into_iter().zip(&values) {

@@ -2,7 +2,7 @@
 
 use crate::candidate::RobustCandidate;
 use crate::session::Session;
-use crate::worlds::Worlds;
+use crate::worlds::{PerturbedWorlds, Worlds};
 use crate::{BodyProperty, PlanError, Sensitivity, Trial, TrialPhase, Unknown};
 use rayon::prelude::*;
 use sms_scene::BodyKind;
@@ -53,9 +53,9 @@ impl SensitivityAnalysis<'_> {
         for (k, unknown) in unknowns.iter().enumerate() {
             let seed = self.session.seed.derive("sensitivity");
             let which = |u: &Unknown| u == unknown;
-            let worlds = self.session.partly_perturbed_worlds(seed, 0..each, &which)?;
+            let worlds = PerturbedWorlds::new(self.session, seed, 0..each, &which)?;
             let action = std::slice::from_ref(&self.winner.action);
-            let row = worlds.objectives(action, 0..each, &self.session.counter)?.remove(0);
+            let row = worlds.objectives(action, 0..each)?.remove(0);
             trials.extend(Trial::row(TrialPhase::Sensitivity, k, 0, &self.winner.action, &row));
             let valid: Vec<f64> = row.into_iter().filter(|v| v.is_finite()).collect();
             let sum: f64 = valid.iter().map(|v| (v - nominal.objective).powi(2)).sum();

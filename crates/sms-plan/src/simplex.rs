@@ -185,19 +185,6 @@ impl SimplexSearch {
         }
     }
 
-    /// Replaces the requested point.
-    fn move_point(&mut self, x: Vec<f64>) {
-        self.asked = x;
-    }
-
-    fn is_first_simplex(&self) -> bool {
-        matches!(self.step, SimplexStep::First(_))
-    }
-
-    fn end(&mut self) {
-        self.step = SimplexStep::Done;
-    }
-
     fn replace_worst(&mut self, x: Vec<f64>, f: f64) -> bool {
         if let Some(worst) = self.vertices.last_mut() {
             *worst = Vertex { x, f };
@@ -354,12 +341,13 @@ impl LocalSearch {
         let Some(asked) = self.simplex.next_point().map(<[f64]>::to_vec) else { return };
         let best = self.minimum().x;
         let (from, count) = self.retreat.take().unwrap_or((asked, 0));
-        let shares: &[f64] = if self.simplex.is_first_simplex() { &FIRST_RETREATS } else { &RETREATS };
+        let shares: &[f64] =
+            if matches!(self.simplex.step, SimplexStep::First(_)) { &FIRST_RETREATS } else { &RETREATS };
         let inside = |x: &Vec<f64>| x.iter().all(|v| (0.0..=1.0).contains(v));
         for (k, share) in shares.iter().enumerate().skip(count) {
             let x: Vec<f64> = best.iter().zip(&from).map(|(b, x)| b + share * (x - b)).collect();
             if inside(&x) && x != best {
-                self.simplex.move_point(x);
+                self.simplex.asked = x;
                 self.retreat = Some((from, k + 1));
                 return;
             }
@@ -374,7 +362,7 @@ impl LocalSearch {
 
     /// Ends the search.
     pub(crate) fn end(&mut self) {
-        self.simplex.end();
+        self.simplex.step = SimplexStep::Done;
         self.restarts_left = 0;
     }
 

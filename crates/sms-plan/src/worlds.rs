@@ -1,8 +1,8 @@
 //! Worlds: pools of simulations that rollouts borrow, for the scanned scene and for perturbed ones.
 
-use crate::counter::Counter;
 use crate::rollout_outcome::RolloutOutcome;
-use crate::{Perturbation, PlanError, Unknown};
+use crate::session::Session;
+use crate::{PlanError, Unknown};
 use rayon::prelude::*;
 use sms_core::Seed;
 use sms_scene::Scene;
@@ -60,21 +60,12 @@ impl<'a> Worlds<'a> {
     }
 }
 
-/// A family of perturbed worlds. The same index gives the same world for every action (common random numbers).
-#[derive(Clone, Copy)]
-pub(crate) struct WorldFamily<'a> {
-    pub(crate) task: &'a ResolvedTask,
-    /// The unperturbed scene.
-    pub(crate) scene: &'a Scene,
-    pub(crate) factory: &'a dyn WorldFactory,
-    /// Errors in worlds and strikes.
-    pub(crate) perturbation: &'a Perturbation,
-    pub(crate) seed: Seed,
-}
-
-/// Some worlds of a family, with the simulations of each.
+/// Some worlds of a family of perturbed worlds, with the simulations of each. The same index gives the same world for
+/// every action (common random numbers).
 pub(crate) struct PerturbedWorlds<'a> {
-    family: WorldFamily<'a>,
+    session: &'a Session<'a>,
+    /// Seed of the family.
+    seed: Seed,
     /// Whether the execution is perturbed too.
     execution: bool,
     worlds: Vec<(usize, Worlds<'a>)>,
@@ -83,19 +74,20 @@ pub(crate) struct PerturbedWorlds<'a> {
 impl<'a> PerturbedWorlds<'a> {
     /// Builds the worlds with these indices, with only the unknowns selected by `which` perturbed.
     pub(crate) fn new(
-        family: WorldFamily<'a>,
+        session: &'a Session<'a>,
+        seed: Seed,
         indices: Range<usize>,
         which: &(dyn Fn(&Unknown) -> bool + Sync),
     ) -> Result<Self, PlanError> {
-        let bare = family.scene.without_pictures();
+        let bare = session.scene.without_pictures();
         let worlds = indices
             .into_par_iter()
             .map(|index| {
-                let scene = family.perturbation.scene_of(&bare, family.seed, index, which);
-                Ok((index, Worlds::new(family.task, Cow::Owned(scene), family.factory)?))
+                let scene = session.config.perturbation.scene_of(&bare, seed, index, which);
+                Ok((index, Worlds::new(session.task, Cow::Owned(scene), session.factory)?))
             })
             .collect::<Result<_, PlanError>>()?;
-        Ok(Self { family, execution: which(&Unknown::Execution), worlds })
+        Ok(Self { session, seed, execution: which(&Unknown::Execution), worlds })
     }
 
     /// Number of worlds.
@@ -104,21 +96,17 @@ impl<'a> PerturbedWorlds<'a> {
     }
 
     /// Returns the objectives of pairs of a world (position) and an action, in order.
-    pub(crate) fn each<A: Borrow<Action> + Sync>(
-        &self,
-        jobs: &[(usize, A)],
-        counter: &Counter<'_>,
-    ) -> Result<Vec<f64>, PlanError> {
-        Ok(self.look_each(jobs, counter, &|_| ())?.into_iter().map(|seen| seen.0.objective()).collect())
+    pub(crate) fn each<A: Borrow<Action> + Sync>(&self, jobs: &[(usize, A)]) -> Result<Vec<f64>, PlanError> {
+        Ok(self.look_each(jobs, &|_| ())?.into_iter().map(|seen| seen.0.objective()).collect())
     }
 
     /// Returns the outcome of each pair, with the result of `look` for simulated ones.
     fn look_each<A: Borrow<Action> + Sync, T: Send>(
         &self,
         jobs: &[(usize, A)],
-        counter: &Counter<'_>,
         look: &(dyn Fn(&Rollout) -> T + Sync),
     ) -> Result<Vec<(RolloutOutcome, Option<T>)>, PlanError> {
+        let task = self.session.task;
         // Grouped by world, so that each thread builds each world at most once.
         let mut order: Vec<usize> = (0..jobs.len()).collect();
         order.sort_by_key(|&j| jobs[j].0);
@@ -126,14 +114,14 @@ impl<'a> PerturbedWorlds<'a> {
             .into_par_iter()
             .map(|j| {
                 let (index, world) = &self.worlds[jobs[j].0];
-                let asked = self.family.task.strike(jobs[j].1.borrow());
+                let asked = task.strike(jobs[j].1.borrow());
                 let mut seen = None;
-                let shot = counter.shot(|| {
+                let shot = self.session.counter.shot(|| {
                     let striker = if self.execution {
-                        let strike = self.family.perturbation.strike(&asked, self.family.seed, *index);
-                        self.family.task.striker_near(&asked, &strike)?
+                        let strike = self.session.config.perturbation.strike(&asked, self.seed, *index);
+                        task.striker_near(&asked, &strike)?
                     } else {
-                        self.family.task.striker(&asked)?
+                        task.striker(&asked)?
                     };
                     let rollout = world.carry_out(&striker, None)?;
                     seen = Some(look(&rollout));
@@ -151,9 +139,8 @@ impl<'a> PerturbedWorlds<'a> {
         &self,
         actions: &[Action],
         range: Range<usize>,
-        counter: &Counter<'_>,
     ) -> Result<Vec<Vec<f64>>, PlanError> {
-        let rows = self.look(actions, range, counter, &|_| ())?;
+        let rows = self.look(actions, range, &|_| ())?;
         Ok(rows.into_iter().map(|row| row.into_iter().map(|seen| seen.0.objective()).collect()).collect())
     }
 
@@ -162,12 +149,11 @@ impl<'a> PerturbedWorlds<'a> {
         &self,
         actions: &[Action],
         range: Range<usize>,
-        counter: &Counter<'_>,
         look: &(dyn Fn(&Rollout) -> T + Sync),
     ) -> Result<Vec<Vec<(RolloutOutcome, Option<T>)>>, PlanError> {
         let jobs: Vec<(usize, &Action)> = range.flat_map(|w| actions.iter().map(move |a| (w, a))).collect();
         let mut rows: Vec<Vec<_>> = actions.iter().map(|_| Vec::new()).collect();
-        for (k, outcome) in self.look_each(&jobs, counter, look)?.into_iter().enumerate() {
+        for (k, outcome) in self.look_each(&jobs, look)?.into_iter().enumerate() {
             rows[k % actions.len()].push(outcome);
         }
         Ok(rows)
