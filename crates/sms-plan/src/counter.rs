@@ -74,8 +74,7 @@ impl<'a> Counter<'a> {
         }
     }
 
-    /// Whether the whole motion of an action, from home to the lift after the strike, passes every check of the
-    /// robot. Counts refusals.
+    /// Whether the motion of an action from home to the lift passes every check of the robot. Counts refusals.
     pub(crate) fn executable(&self, task: &ResolvedTask, action: &Action) -> Result<bool, PlanError> {
         self.cancel.check()?;
         let Some(reason) = task.not_executable(&task.strike(action)) else { return Ok(true) };

@@ -16,8 +16,7 @@ use sms_task::{Action, MotionRecording, Rollout};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// Effective densities of an empty carton and of solid brass, kg/m³: the lightest and heaviest common objects of a
-/// size.
+/// Effective densities, kg/m³, of the lightest and heaviest common objects: an empty carton, and solid brass.
 const LIGHT: f64 = 110.0;
 const HEAVY: f64 = 8500.0;
 /// Coefficients of slippery and rough, and of dull and lively surfaces.

@@ -87,8 +87,7 @@ impl NelderMead {
         Self { max_iterations: 30, x_tolerance: 1e-4, f_tolerance: 1e-4, restarts: 0, ..Self::default() }
     }
 
-    /// A simplex around a point with the given step per coordinate; a step that would leave the bounds changes its
-    /// sign.
+    /// A simplex around a point with a step per coordinate; a step that would leave the bounds changes its sign.
     pub(crate) fn simplex_around(x0: &[f64], steps: &[f64], bounds: &BoxBounds) -> Vec<Vec<f64>> {
         let mut simplex = vec![x0.to_vec()];
         for (k, &step) in steps.iter().enumerate() {

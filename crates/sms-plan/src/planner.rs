@@ -135,8 +135,7 @@ struct Planning<'a> {
     struck: Reasons,
 }
 
-/// The outcome of a shot in a forecast world. A simulated shot has the strategy that it followed and the bodies that it
-/// touched.
+/// The outcome of a shot in a forecast world; for a simulated shot also its strategy and the touched bodies.
 type ForecastOutcome = (RolloutOutcome, Option<(String, BTreeSet<BodyId>)>);
 
 fn outcomes(row: &[ForecastOutcome]) -> Vec<RolloutOutcome> {
@@ -218,8 +217,7 @@ impl<'a> Planning<'a> {
         Ok(chosen)
     }
 
-    /// Tries the chosen actions in worlds that were not used for the choice: the winner's outcomes in the worlds of the
-    /// choice are biased.
+    /// Tries the chosen actions in other worlds: the winner's outcomes in the worlds of the choice are biased.
     fn forecast(&mut self, chosen: &[RobustCandidate]) -> Result<Vec<Vec<ForecastOutcome>>, PlanError> {
         let session = self.session;
         let first = 2 * session.config.perturbation.worlds;
@@ -235,8 +233,7 @@ impl<'a> Planning<'a> {
         Ok(rows)
     }
 
-    /// The number of actions considered so far (rollouts of the search, points of the scan and refused points of both),
-    /// and the refused ones.
+    /// The number of actions considered so far (rollouts of the search, scan, refused points of both), and the refused.
     fn considered(&self) -> (usize, Vec<Refusal>) {
         let is_scan = |t: &&Trial| t.phase == TrialPhase::Perturbed && t.start == -1;
         let scanned = self.found.trials.iter().filter(is_scan).count();

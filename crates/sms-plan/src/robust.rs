@@ -125,8 +125,7 @@ impl RobustChoice<'_> {
         Ok(None)
     }
 
-    /// Distinct actions that improve on doing nothing, best first: half of them the nominally best ones, half from
-    /// each strategy in turn.
+    /// Distinct actions that improve on doing nothing: half the nominally best ones, half from each strategy in turn.
     fn candidates(&self, scored: &[ScoredPoint]) -> Vec<RobustCandidate> {
         let count = self.session.config.candidates;
         let steps = self.session.space.steps(self.session.config.initial_step, true);

@@ -46,8 +46,7 @@ impl SearchLog {
     }
 }
 
-/// Creates the configured optimiser. Screened points and random simplexes contain only strikes that the robot can carry
-/// out.
+/// Creates the configured optimiser, with screened points and random simplexes of feasible strikes.
 pub(crate) fn optimiser(
     space: &Space,
     config: &PlanConfig,

@@ -86,8 +86,7 @@ impl SensitivityAnalysis<'_> {
         Ok(found)
     }
 
-    /// The property of a body with the largest effect. Each has the same perturbation as in the analysis of the whole
-    /// material.
+    /// The property of a body with the largest effect, each perturbed as in the analysis of the whole material.
     fn property_of(
         &self,
         name: &str,
@@ -123,8 +122,7 @@ impl SensitivityAnalysis<'_> {
         Ok(most.map(|m| m.1))
     }
 
-    /// Returns whether a body takes part in the shot: the struck and the target body, static bodies, and bodies with
-    /// contacts.
+    /// Returns whether a body is the struck or the target body, is static, or has contacts in the shot.
     fn is_involved(&self, name: &str) -> bool {
         let Some(index) = self.session.scene.body_index(name) else { return false };
         let is_fixed = self.session.scene.bodies[index].kind == BodyKind::Static;

@@ -30,8 +30,7 @@ impl Session<'_> {
         self.counter.draw(self.task, &self.space.action(x))
     }
 
-    /// Returns the next point of a local search with a strike that the robot can carry out; `None` when the search has
-    /// ended.
+    /// The next point of a local search with a strike that the robot can carry out; `None` at the end of the search.
     pub(crate) fn next_feasible(&self, search: &mut LocalSearch) -> Result<Option<Vec<f64>>, PlanError> {
         while let Some(x) = search.next_point().map(<[f64]>::to_vec) {
             if self.is_feasible(&x)? {

@@ -40,8 +40,7 @@ enum SimplexStep {
     Done,
 }
 
-/// One descent of [`NelderMead`] from a simplex, without restarts. Requests the same points as SciPy's method, in the
-/// same order.
+/// One descent of [`NelderMead`] from a simplex, without restarts. Requests the points of SciPy's method in its order.
 #[derive(Debug, Clone)]
 pub struct SimplexSearch {
     settings: NelderMead,
@@ -109,8 +108,7 @@ impl SimplexSearch {
         self.evaluations
     }
 
-    /// Receives the value of [`SimplexSearch::next_point`]. NaN counts as infinite. Returns whether this completed an
-    /// iteration.
+    /// Receives the value of [`SimplexSearch::next_point`]; NaN is infinite. Returns whether an iteration is complete.
     pub fn tell(&mut self, value: f64) -> bool {
         let f = if value.is_nan() { f64::INFINITY } else { value };
         self.evaluations += 1;
@@ -262,8 +260,7 @@ impl SimplexSearch {
 const RETREATS: [f64; 3] = [0.5, 0.25, 0.125];
 const FIRST_RETREATS: [f64; 5] = [-1.0, 0.5, -0.5, 0.25, -0.25];
 
-/// Number of consecutive refusals that ends a search: more than two whole simplexes with all their retreats in four
-/// dimensions.
+/// Number of consecutive refusals that ends a search: over two simplexes with all retreats in four dimensions.
 const MOST_REFUSED: usize = 64;
 
 /// A descent in the unit box with the restarts of [`NelderMead::restarts`]; it can be stopped and continued.

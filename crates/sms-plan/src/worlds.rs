@@ -60,8 +60,7 @@ impl<'a> Worlds<'a> {
     }
 }
 
-/// Some worlds of a family of perturbed worlds, with the simulations of each. The same index gives the same world for
-/// every action (common random numbers).
+/// Perturbed worlds of a family. An index gives the same world for every action (common random numbers).
 pub(crate) struct PerturbedWorlds<'a> {
     session: &'a Session<'a>,
     /// Seed of the family.

@@ -154,8 +154,7 @@ fn frame_w(shape: &EntityShape) -> DPose3 {
     }
 }
 
-/// Largest distance of a static body's frame from its centre of mass for making it dynamic, metres: the frame of a dynamic body
-/// lies at its centre of mass.
+/// Largest distance of a static body's frame from its centre of mass, where a dynamic body has its frame, metres.
 const CENTERED_M: f64 = 1e-3;
 
 /// Returns the mass properties that a static body would have as a dynamic one: those of its shape with its material, as in

@@ -37,8 +37,7 @@ impl From<InputError> for SceneError {
     }
 }
 
-/// `M` is the type of the mass properties. Reading keeps them as JSON and converts them body by body, so that an error can name
-/// the body.
+/// `M` is the type of the mass properties. Reading converts them from JSON body by body, so that an error names the body.
 #[derive(Serialize, Deserialize)]
 struct ManifestFile<M> {
     version: u32,

@@ -110,8 +110,7 @@ fn projected(p: parry3d_f64::query::PointProjection) -> (DVec3, bool) {
     (p.point, p.is_inside)
 }
 
-/// Distance of a world point from a body, metres; negative inside. A mesh has no inside. Infinite for a body without a
-/// usable shape.
+/// Distance of a world point from a body, metres; negative inside, but not of meshes; infinite without a usable shape.
 pub fn signed_distance(body: &Body, p_w: DVec3) -> f64 {
     let p = body.x_wb.inverse_transform_point(p_w);
     BodyGeometry::of_body(body)

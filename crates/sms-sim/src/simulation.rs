@@ -279,8 +279,7 @@ impl Simulation {
         self.arm_of(body).map(|arm| arm.impulse_w)
     }
 
-    /// Energy that an arm has given to other bodies, J: each impulse times the mean of the tool's velocities before and
-    /// after it. `None` for a finger.
+    /// Energy given by an arm, J: each impulse times the mean of the tool's velocities around it. `None` for a finger.
     pub fn work_j(&self, body: BodyId) -> Option<f64> {
         self.arm_of(body).map(|arm| arm.work_j)
     }
@@ -421,8 +420,7 @@ impl Simulation {
         }
     }
 
-    /// Records the touches that the engine reports for the last step of `dt`. The states are still those before the
-    /// step.
+    /// Records the touches that the engine reports for the last step of `dt`; the states are those before the step.
     fn note_touches(&mut self, dt: f64) {
         let mut touches = std::mem::take(&mut self.touches);
         self.world.take_touches(&mut touches);

@@ -225,8 +225,7 @@ pub trait World: Send {
     fn save(&mut self) -> bool;
     /// Restores the saved state and removes kinematic bodies added since; `false` if none was saved.
     fn restore(&mut self) -> bool;
-    /// Returns a body that the engine removed in the last step because its state was not finite, for engines that
-    /// remove such bodies.
+    /// A body that the engine removed in the last step because its state was not finite, if the engine does so.
     fn first_failed(&self) -> Option<BodyId> {
         None
     }
@@ -248,8 +247,7 @@ pub trait WorldFactory: Sync {
     /// [`SimError::Body`] when a body's shape or mass cannot be simulated.
     fn build(&self, scene: &Scene, options: &WorldOptions) -> Result<Box<dyn World>, SimError>;
 
-    /// Returns whether [`WorldOptions::contact_timing`] has an effect: `false` for an engine that is to be studied with
-    /// whole steps.
+    /// Whether [`WorldOptions::contact_timing`] has an effect: `false` to study an engine with whole steps.
     fn splits_steps(&self) -> bool {
         true
     }

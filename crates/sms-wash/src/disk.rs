@@ -14,8 +14,7 @@ pub enum Emission {
     /// As in the appendix: emitted over the disk at the disk's speed. This stream carries half of the thrust; the other
     /// half is the pressure behind the disk, which particles lack.
     Paper,
-    /// The far wake of the same disk, contracted to half the area, at the exit speed: the stream carries the whole
-    /// thrust.
+    /// The far wake of the disk, contracted to half the area, at the exit speed: it carries the whole thrust.
     #[default]
     Momentum,
 }

@@ -60,8 +60,7 @@ pub struct StreamWash {
     settings: StreamSettings,
     surfaces: Vec<BodySurface>,
     active: bool,
-    /// Cosine and sine of the angle of each flow line, ring by ring. Rings are rotated against each other, so that an
-    /// edge crosses lines one by one.
+    /// Cosine and sine of each flow line's angle. Rings are rotated, so that an edge crosses lines one by one.
     turns: Vec<(f64, f64)>,
     /// One profile per propeller, reused while thrusts are constant.
     profiles: Vec<StreamProfile>,

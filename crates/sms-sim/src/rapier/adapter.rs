@@ -19,8 +19,7 @@ use std::sync::Mutex;
 const LENGTH_UNIT: f64 = 1e-3;
 /// Largest speed of a body, m/s. Rapier scales its limit with the length unit, so its default would be 0.4 m/s.
 const MAX_SPEED: f64 = 400.0;
-/// Largest speed at which overlapping bodies are pushed apart, m/s. Reconstructed bodies may overlap by a millimetre at
-/// the start and must not be thrown apart.
+/// Largest speed at which overlapping bodies are pushed apart, m/s. Reconstructed bodies may overlap by a millimetre.
 const MAX_PUSH_OUT_SPEED: f64 = 0.1;
 /// Contacts are reused while the relative motion since their determination is below this, metres.
 const RECYCLE_DISTANCE: f64 = 2e-4;
@@ -482,8 +481,7 @@ fn vertices(mesh: &Mesh) -> Vec<Vector> {
     mesh.vertices.iter().map(|&v| to_engine(v)).collect()
 }
 
-/// Diagonalized in double precision: in single precision the inertia of a small body, 1e-6 kg·m², is below the
-/// tolerances of the decomposition.
+/// Diagonalized in double precision: the decomposition's tolerances in single precision exceed small inertias (1e-6).
 fn mass_properties(mass: &sms_core::MassProperties) -> MassProperties {
     let (moments, axes) = mass.principal();
     MassProperties::with_principal_inertia_frame(
