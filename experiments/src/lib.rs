@@ -58,9 +58,9 @@ mod true_worlds;
 mod wall;
 
 pub use billiards::{
-    Ablated, Ablation, BilliardsBench, BilliardsGeometry, BilliardsScene, Drawing, Replaced, Row, Shot,
-    Unfinished, Way, billiards_metrics, billiards_table, paper_entities, read_billiards, run_billiards,
-    scan_billiards, write_pictures, write_shots,
+    Ablated, Ablation, BilliardsBench, BilliardsGeometry, BilliardsScene, Drawing, GridBaseline, GridPlan,
+    Replaced, Row, Shot, Unfinished, Way, billiards_metrics, billiards_table, paper_entities, read_billiards,
+    run_billiards, scan_billiards, write_pictures, write_shots,
 };
 pub use disturb::{Disturbance, parse_length_m, parse_pose_noise};
 pub use engines::{engines_table, run_engines};

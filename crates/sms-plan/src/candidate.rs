@@ -20,8 +20,7 @@ pub(crate) struct RobustCandidate {
 }
 
 impl RobustCandidate {
-    /// Returns the rank over the worlds tried so far, the scanned world if it counts and is known, and `more` worlds
-    /// with objective 0.
+    /// The rank over the worlds tried so far, the scanned world if known and weighted, and `more` worlds of objective 0.
     pub(crate) fn rank(&self, config: &PlanConfig, more: usize) -> (usize, f64) {
         let nominal = if self.objective.is_finite() { config.nominal_worlds } else { 0 };
         let mut values = self.outcomes.clone();

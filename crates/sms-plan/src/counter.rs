@@ -28,6 +28,12 @@ pub(crate) struct Counter<'a> {
 /// Reasons of refused strikes, with the number of strikes.
 pub(crate) type Reasons = BTreeMap<String, usize>;
 
+fn note(reasons: &Mutex<Reasons>, reason: String) {
+    if let Ok(mut reasons) = reasons.lock() {
+        *reasons.entry(reason).or_default() += 1;
+    }
+}
+
 impl<'a> Counter<'a> {
     pub(crate) fn new(progress: &'a dyn Progress, cancel: &'a Cancel) -> Self {
         Self {
@@ -61,23 +67,18 @@ impl<'a> Counter<'a> {
         self.cancel.check()?;
         match task.striker(&task.strike(action)) {
             Err(SimError::Refused(e)) => {
-                if let Ok(mut passed_over) = self.passed_over.lock() {
-                    *passed_over.entry(e.reason()).or_default() += 1;
-                }
+                note(&self.passed_over, e.reason());
                 Ok(false)
             }
             other => Ok(other.map(|_| true)?),
         }
     }
 
-    /// Whether the whole motion of an action, from home to the lift after the strike, passes every check of the
-    /// robot. Counts refusals.
+    /// Whether the motion of an action from home to the lift passes every check of the robot. Counts refusals.
     pub(crate) fn executable(&self, task: &ResolvedTask, action: &Action) -> Result<bool, PlanError> {
         self.cancel.check()?;
         let Some(reason) = task.not_executable(&task.strike(action)) else { return Ok(true) };
-        if let Ok(mut passed_over) = self.passed_over.lock() {
-            *passed_over.entry(reason).or_default() += 1;
-        }
+        note(&self.passed_over, reason);
         Ok(false)
     }
 
@@ -133,9 +134,7 @@ impl<'a> Counter<'a> {
         self.cancel.check()?;
         let shot = match rollout() {
             Err(SimError::Refused(e)) => {
-                if let Ok(mut refused) = self.refused.lock() {
-                    *refused.entry(e.reason()).or_default() += 1;
-                }
+                note(&self.refused, e.reason());
                 RolloutOutcome::Refused
             }
             Err(e @ (SimError::Diverged { .. } | SimError::Unphysical { .. })) => {

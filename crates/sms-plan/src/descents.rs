@@ -67,7 +67,16 @@ pub(crate) struct Descents {
 impl Descents {
     /// Creates searches from the best screened points.
     pub(crate) fn screened(space: &Space, settings: DescentSettings, screen: Vec<Screened>) -> Self {
-        Self::new(space, settings, screen)
+        Self {
+            settings,
+            space: space.clone(),
+            screen,
+            screened: false,
+            members: Vec::new(),
+            active: Vec::new(),
+            rounds_left: 0,
+            asked: Vec::new(),
+        }
     }
 
     /// Creates the paper's starts: simplexes of random points in the promising ranges, feasible ones where possible.
@@ -81,7 +90,7 @@ impl Descents {
             .into_par_iter()
             .map(|i| random_simplex(space, seed.derive_index("simplex", i as u64), feasible))
             .collect::<Result<_, _>>()?;
-        let mut descents = Self::new(space, settings, Vec::new());
+        let mut descents = Self::screened(space, settings, Vec::new());
         descents.screened = true;
         let steps = space.steps(descents.settings.initial_step, true);
         let starts: Vec<_> = drawn.iter().map(|d| (d.points.clone(), steps.clone(), None)).collect();
@@ -95,19 +104,6 @@ impl Descents {
         }
         descents.rounds_left = 0;
         Ok(descents)
-    }
-
-    fn new(space: &Space, settings: DescentSettings, screen: Vec<Screened>) -> Self {
-        Self {
-            settings,
-            space: space.clone(),
-            screen,
-            screened: false,
-            members: Vec::new(),
-            active: Vec::new(),
-            rounds_left: 0,
-            asked: Vec::new(),
-        }
     }
 
     fn begin(&mut self, starts: &[(Vec<Vec<f64>>, Vec<f64>, Option<f64>)]) {

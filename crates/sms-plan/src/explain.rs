@@ -16,8 +16,7 @@ use sms_task::{Action, MotionRecording, Rollout};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// Effective densities of an empty carton and of solid brass, kg/m³: the lightest and heaviest common objects of a
-/// size.
+/// Effective densities, kg/m³, of the lightest and heaviest common objects: an empty carton, and solid brass.
 const LIGHT: f64 = 110.0;
 const HEAVY: f64 = 8500.0;
 /// Coefficients of slippery and rough, and of dull and lively surfaces.
@@ -184,7 +183,8 @@ impl Explanation<'_> {
                 }
                 let world = self.world(change)?;
                 let mut search = SearchWorld { worlds: &world, body, start: spent as i32, tried: 0 };
-                let (best, shots) = self.best_in(&mut search, &points, budget - 1, trials)?;
+                let best = self.best_in(&mut search, &points, budget - 1, trials)?;
+                let shots = search.tried;
                 spent += shots + 1;
                 let Some(other) = best.map(|a| self.record(&world, &a, spent, trials)).transpose()?.flatten()
                 else {
@@ -218,16 +218,15 @@ impl Explanation<'_> {
         ways
     }
 
-    /// Returns the best shot of a search world among those that still touch its body, and the number of shots tried.
-    /// The first half of the budget is spent on shots from the scanned world, from the best to the worst; the other
-    /// half on a simplex search.
+    /// Returns the best shot of a search world among those that still touch its body. The first half of the budget is
+    /// spent on shots from the scanned world, from the best to the worst; the other half on a simplex search.
     fn best_in(
         &self,
         world: &mut SearchWorld<'_>,
         points: &[&ScoredPoint],
         budget: usize,
         trials: &mut Vec<Trial>,
-    ) -> Result<(Option<Action>, usize), PlanError> {
+    ) -> Result<Option<Action>, PlanError> {
         let count = points.len().min(budget.div_ceil(2));
         let mut best: Option<(Vec<f64>, f64)> = None;
         for k in 0..count {
@@ -237,7 +236,7 @@ impl Explanation<'_> {
                 best = Some((x.clone(), v));
             }
         }
-        let Some((x, v)) = best else { return Ok((None, world.tried)) };
+        let Some((x, v)) = best else { return Ok(None) };
         let settings = NelderMead { restarts: 0, ..self.session.config.nelder_mead };
         let space = &self.session.space;
         let steps = space.steps(0.5 * self.session.config.initial_step, space.is_promising(&x));
@@ -246,7 +245,7 @@ impl Explanation<'_> {
             let Some(x) = self.session.next_feasible(&mut search)? else { break };
             search.tell(self.value_in(world, &x, trials)?);
         }
-        Ok((Some(space.action(&search.minimum().x)), world.tried))
+        Ok(Some(space.action(&search.minimum().x)))
     }
 
     /// Returns the objective of a unit point in a search world; infinite if the shot does not touch its body.

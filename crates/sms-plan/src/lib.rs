@@ -1,13 +1,18 @@
 //! Planning of actions: optimisers, robust choice and the trial log (paper section "Simulate").
 //!
 //! [`plan`] searches the actions of a task in the nominal world. It then chooses the action with the best outcomes in
-//! perturbed worlds, which differ within the uncertainty of the scan and of the materials. Local searches implement
-//! [`Optimiser`]; [`NelderMead`] is the paper's.
+//! perturbed worlds, which differ within the uncertainty of the scan and of the materials. Local searches are
+//! [`LocalSearch`]es by the paper's method, [`NelderMead`].
 //!
 //! ```
-//! use sms_plan::{NelderMead, Optimiser};
-//! let valley = |x: &[f64]| Some((x[0] - 0.3).powi(2) + 10.0 * (x[1] - x[0]).powi(2));
-//! let found = NelderMead::default().minimise(&[vec![0.9, 0.1]], &[0.1, 0.1], &mut { valley });
+//! use sms_plan::{LocalSearch, NelderMead};
+//! let valley = |x: &[f64]| (x[0] - 0.3).powi(2) + 10.0 * (x[1] - x[0]).powi(2);
+//! let mut search = LocalSearch::new(&NelderMead::default(), &[vec![0.9, 0.1]], &[0.1, 0.1], None);
+//! while let Some(x) = search.next_point() {
+//!     let value = valley(x);
+//!     search.tell(value);
+//! }
+//! let found = search.minimum();
 //! assert!((found.x[0] - 0.3).abs() < 0.01 && (found.x[1] - 0.3).abs() < 0.01);
 //! ```
 
@@ -19,10 +24,8 @@ mod counter;
 mod descents;
 mod error;
 mod explain;
-mod grid;
 mod halton;
 mod nelder_mead;
-mod optimiser;
 mod outcome;
 mod perturbation;
 mod plan;
@@ -48,10 +51,8 @@ pub use batch::{BatchOptimiser, Proposal, StartRecord, drive};
 pub use body_property::BodyProperty;
 pub use config::{Method, PlanConfig, SOLVED};
 pub use error::PlanError;
-pub use grid::{GridBaseline, GridPlan};
 pub use halton::Halton;
 pub use nelder_mead::{BoxBounds, NelderMead};
-pub use optimiser::{Minimum, Optimiser};
 pub use outcome::{PlanOutcome, load_plan, save_plan};
 pub use perturbation::{Perturbation, Unknown, quantile};
 pub use plan::{InvalidRollout, Plan, Refusal, StartSummary};
@@ -59,8 +60,7 @@ pub use planner::{MakeOptimiser, NominalSearch, plan, search_nominal, search_nom
 pub use prediction::{Prediction, RobustObjective};
 pub use reason::{Counterfactual, Reason};
 pub use sensitivity::Sensitivity;
-pub use simplex::{LocalSearch, SimplexSearch};
+pub use simplex::{LocalSearch, Minimum, SimplexSearch};
 pub use space::Space;
 pub use strategy::Strategy;
-pub use trials::{Trial, TrialPhase, read_trials, write_trials};
-pub use worlds::{WorldFamily, rehearse};
+pub use trials::{Trial, TrialPhase, write_trials};

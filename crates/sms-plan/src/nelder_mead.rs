@@ -4,7 +4,6 @@
 //! The acceptance rules, the stopping test, the adaptive coefficients (Gao and Han 2012) and the treatment of bounds
 //! are the same: the initial simplex is reflected into the bounds, later points are clipped.
 
-use crate::{LocalSearch, Minimum, Optimiser, SimplexSearch};
 use serde::{Deserialize, Serialize};
 
 /// Settings of the method. The planner applies it to the unit box.
@@ -88,19 +87,7 @@ impl NelderMead {
         Self { max_iterations: 30, x_tolerance: 1e-4, f_tolerance: 1e-4, restarts: 0, ..Self::default() }
     }
 
-    /// SciPy's first simplex around a point: each coordinate 5 % larger in turn (0.00025 where it is zero).
-    pub fn scipy_simplex(x0: &[f64]) -> Vec<Vec<f64>> {
-        let mut simplex = vec![x0.to_vec()];
-        for k in 0..x0.len() {
-            let mut x = x0.to_vec();
-            x[k] = if x[k] != 0.0 { 1.05 * x[k] } else { 0.00025 };
-            simplex.push(x);
-        }
-        simplex
-    }
-
-    /// A simplex around a point with the given step per coordinate; a step that would leave the bounds changes its
-    /// sign.
+    /// A simplex around a point with a step per coordinate; a step that would leave the bounds changes its sign.
     pub(crate) fn simplex_around(x0: &[f64], steps: &[f64], bounds: &BoxBounds) -> Vec<Vec<f64>> {
         let mut simplex = vec![x0.to_vec()];
         for (k, &step) in steps.iter().enumerate() {
@@ -112,32 +99,6 @@ impl NelderMead {
         simplex
     }
 
-    /// Minimises from a simplex of n + 1 points in n dimensions, without restarts. Calls `on_iteration` with the best
-    /// point after each iteration. NaN counts as infinite.
-    pub fn descend(
-        &self,
-        simplex: Vec<Vec<f64>>,
-        bounds: Option<&BoxBounds>,
-        objective: &mut dyn FnMut(&[f64]) -> Option<f64>,
-        on_iteration: &mut dyn FnMut(&[f64], f64),
-    ) -> Minimum {
-        let mut search = SimplexSearch::new(self, simplex, bounds.cloned());
-        while let Some(x) = search.next_point() {
-            let Some(f) = objective(x) else { break };
-            if search.tell(f) {
-                let (x, f) = search.best();
-                on_iteration(x, f);
-            }
-        }
-        let (x, f) = search.best();
-        Minimum {
-            x: x.to_vec(),
-            objective: f,
-            evaluations: search.evaluations(),
-            iterations: search.iterations(),
-        }
-    }
-
     /// ρ, χ, ψ and σ in n dimensions.
     pub(crate) fn coefficients(&self, n: usize) -> [f64; 4] {
         if self.adaptive {
@@ -145,25 +106,5 @@ impl NelderMead {
             return [1.0, 1.0 + 2.0 / d, 0.75 - 1.0 / (2.0 * d), 1.0 - 1.0 / d];
         }
         [self.reflection, self.expansion, self.contraction, self.shrink]
-    }
-}
-
-impl Optimiser for NelderMead {
-    fn name(&self) -> &'static str {
-        "nelder_mead"
-    }
-
-    fn minimise(
-        &self,
-        start: &[Vec<f64>],
-        steps: &[f64],
-        objective: &mut dyn FnMut(&[f64]) -> Option<f64>,
-    ) -> Minimum {
-        let mut search = LocalSearch::new(self, start, steps, None);
-        while let Some(x) = search.next_point() {
-            let Some(f) = objective(x) else { break };
-            search.tell(f);
-        }
-        search.minimum()
     }
 }

@@ -178,8 +178,7 @@ impl Perturbation {
         with_residual(self.radius_m, RADIUS_RATIO * body.fit_se_m / 3f64.sqrt())
     }
 
-    /// Returns whether each body may move: dynamic bodies with a gap to all others larger than the sum of both errors.
-    /// In the order of the scene.
+    /// Returns whether each body of the scene may move: dynamic ones farther from all others than the sum of both errors.
     fn free(&self, scene: &Scene) -> Vec<bool> {
         let boxes: Vec<Option<Aabb>> = scene.bodies.iter().map(Body::aabb_w).collect();
         let reach: Vec<f64> = scene.bodies.iter().map(|b| self.shift(b) + self.swell(b)).collect();
@@ -285,8 +284,7 @@ fn symmetric(rng: &mut impl Rng) -> f64 {
     rng.random_range(-1.0..1.0)
 }
 
-/// The quantile `q` in [0, 1], linear between order statistics (type 7 of Hyndman and Fan 1996). NaN for an empty
-/// slice.
+/// The quantile `q` in [0, 1], linear between order statistics (type 7 of Hyndman and Fan 1996). NaN without values.
 pub fn quantile(values: &[f64], q: f64) -> f64 {
     sms_core::quantile(&mut values.to_vec(), q, QuantileRule::Linear).unwrap_or(f64::NAN)
 }

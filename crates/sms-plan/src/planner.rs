@@ -7,7 +7,7 @@ use crate::explain::Explanation;
 use crate::robust::RobustChoice;
 use crate::rollout_outcome::RolloutOutcome;
 use crate::screening::Feasible;
-use crate::search::{SearchLog, search, search_by};
+use crate::search::{SearchLog, optimiser, search, search_by};
 use crate::sensitivity_analysis::SensitivityAnalysis;
 use crate::session::Session;
 use crate::space::Space;
@@ -70,7 +70,7 @@ pub fn plan(
     progress.end(&format!("best of {} shots: {:.1} mm", planning.evaluations, 1e3 * planning.found.best()));
     let chosen = planning.choose()?;
     let forecast = planning.forecast(&chosen)?;
-    let counts = planning.search_counts();
+    let (searched, refused) = planning.considered();
     let predictions: Vec<Option<Prediction>> =
         forecast.iter().map(|row| Prediction::of(&outcomes(row), |v| task.is_success(v))).collect();
     let winner = &chosen[0];
@@ -104,8 +104,8 @@ pub fn plan(
         evaluations: counter.done() + 1,
         invalid: counter.invalid(),
         invalid_rollouts: counter.invalid_rollouts(),
-        searched: counts.searched,
-        refused: counts.refused,
+        searched,
+        refused,
         striker: task.striker_name(),
         robot: task.arm().map(|a| a.settings().clone()),
         starts: planning.found.starts,
@@ -135,14 +135,7 @@ struct Planning<'a> {
     struck: Reasons,
 }
 
-/// Number of actions considered by the search and the scan.
-struct SearchCounts {
-    searched: usize,
-    refused: Vec<Refusal>,
-}
-
-/// The outcome of a shot in a forecast world. A simulated shot has the strategy that it followed and the bodies that it
-/// touched.
+/// The outcome of a shot in a forecast world; for a simulated shot also its strategy and the touched bodies.
 type ForecastOutcome = (RolloutOutcome, Option<(String, BTreeSet<BodyId>)>);
 
 fn outcomes(row: &[ForecastOutcome]) -> Vec<RolloutOutcome> {
@@ -207,7 +200,7 @@ impl<'a> Planning<'a> {
     }
 
     fn perturbed_worlds(&self, indices: Range<usize>) -> Result<PerturbedWorlds<'a>, PlanError> {
-        self.session.perturbed_worlds(self.session.seed.derive("disturbed"), indices)
+        PerturbedWorlds::new(self.session, self.session.seed.derive("disturbed"), indices, &|_| true)
     }
 
     /// The best action of each strategy, best strategy first; at least one.
@@ -224,8 +217,7 @@ impl<'a> Planning<'a> {
         Ok(chosen)
     }
 
-    /// Tries the chosen actions in worlds that were not used for the choice: the winner's outcomes in the worlds of the
-    /// choice are biased.
+    /// Tries the chosen actions in other worlds: the winner's outcomes in the worlds of the choice are biased.
     fn forecast(&mut self, chosen: &[RobustCandidate]) -> Result<Vec<Vec<ForecastOutcome>>, PlanError> {
         let session = self.session;
         let first = 2 * session.config.perturbation.worlds;
@@ -233,29 +225,21 @@ impl<'a> Planning<'a> {
         let worlds = self.perturbed_worlds(first..first + count)?;
         let actions: Vec<Action> = chosen.iter().map(|c| c.action.clone()).collect();
         let look = |rollout: &Rollout| (session.strategy_of(rollout), touched(rollout, session.scene));
-        let rows = worlds.look(&actions, 0..worlds.len(), &session.counter, &look)?;
+        let rows = worlds.look(&actions, 0..worlds.len(), &look)?;
         for (i, row) in rows.iter().enumerate() {
-            for (w, outcome) in outcomes(row).into_iter().enumerate() {
-                let (action, objective) = (actions[i].clone(), outcome.objective());
-                self.found.trials.push(Trial::new(
-                    TrialPhase::Forecast,
-                    i as i32,
-                    w as i32,
-                    action,
-                    objective,
-                ));
-            }
+            let objectives: Vec<f64> = row.iter().map(|o| o.0.objective()).collect();
+            self.found.trials.extend(Trial::row(TrialPhase::Forecast, i, 0, &actions[i], &objectives));
         }
         Ok(rows)
     }
 
-    /// Actions considered so far: rollouts of the search, points of the scan and refused points of both.
-    fn search_counts(&self) -> SearchCounts {
+    /// The number of actions considered so far (rollouts of the search, scan, refused points of both), and the refused.
+    fn considered(&self) -> (usize, Vec<Refusal>) {
         let is_scan = |t: &&Trial| t.phase == TrialPhase::Perturbed && t.start == -1;
         let scanned = self.found.trials.iter().filter(is_scan).count();
         let refused = self.session.counter.refusals(&self.struck);
         let struck = self.struck.values().sum::<usize>();
-        SearchCounts { searched: self.evaluations + scanned + total(&refused) - struck, refused }
+        (self.evaluations + scanned + total(&refused) - struck, refused)
     }
 
     /// Records the motion of an action in the nominal world. Returns `None` if the rollout is not valid to its end,
@@ -345,14 +329,9 @@ pub fn search_nominal(
     context: StageContext<'_>,
 ) -> Result<NominalSearch, PlanError> {
     config.validate(Path::new(SETTINGS))?;
-    let space = Space::new(task);
-    let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
-    let counter = Counter::new(&NoProgress, context.cancel);
-    let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
-    let found = search(&space, config, context.seed.derive("search"), budget, &feasible, &|x| {
-        counter.count(|| nominal.objective(&task.strike(&space.action(x))))
-    })?;
-    Ok(NominalSearch { trials: found.trials, starts: found.starts })
+    let seed = context.seed.derive("search");
+    let make = |space: &Space, feasible: Feasible<'_>| optimiser(space, config, seed, feasible);
+    search_nominal_by(task, scene, factory, &make, budget, context.cancel)
 }
 
 /// Constructs an optimiser for the box of actions. It may first try points that are feasible.

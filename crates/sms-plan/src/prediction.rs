@@ -33,8 +33,7 @@ impl RobustObjective {
         }
     }
 
-    /// Returns the rank of outcomes: fewer invalid rollouts first, then the statistic. Good outcomes never compensate
-    /// for an invalid rollout.
+    /// Ranks by the number of invalid rollouts, then by the statistic: good outcomes never compensate for an invalid one.
     pub(crate) fn rank(self, values: &[f64]) -> (usize, f64) {
         (values.iter().filter(|v| !v.is_finite()).count(), self.of(values))
     }

@@ -125,8 +125,7 @@ impl RobustChoice<'_> {
         Ok(None)
     }
 
-    /// Distinct actions that improve on doing nothing, best first: half of them the nominally best ones, half from
-    /// each strategy in turn.
+    /// Distinct actions that improve on doing nothing: half the nominally best ones, half from each strategy in turn.
     fn candidates(&self, scored: &[ScoredPoint]) -> Vec<RobustCandidate> {
         let count = self.session.config.candidates;
         let steps = self.session.space.steps(self.session.config.initial_step, true);
@@ -190,12 +189,9 @@ impl RobustChoice<'_> {
         trials: &mut Vec<Trial>,
     ) -> Result<(), PlanError> {
         let actions: Vec<Action> = who.iter().map(|&i| all[i].action.clone()).collect();
-        let rows = worlds.objectives(&actions, range.clone(), &self.session.counter)?;
+        let rows = worlds.objectives(&actions, range.clone())?;
         for (&i, row) in who.iter().zip(rows) {
-            for (w, &objective) in range.clone().zip(&row) {
-                let action = all[i].action.clone();
-                trials.push(Trial::new(TrialPhase::Perturbed, i as i32, w as i32, action, objective));
-            }
+            trials.extend(Trial::row(TrialPhase::Perturbed, i, range.start, &all[i].action, &row));
             all[i].outcomes.extend(row);
         }
         Ok(())

@@ -23,8 +23,7 @@ pub(crate) struct Searches {
 
 impl RobustChoice<'_> {
     /// Tries feasible points spread over all actions, each in one of the perturbed worlds in turn. Returns the best
-    /// distinct ones, half the number of candidates. Their outcomes are discarded, since they are biased by the
-    /// selection.
+    /// distinct ones, half the number of candidates, without their outcomes, which are biased by the selection.
     pub(crate) fn scan(
         &self,
         worlds: &PerturbedWorlds<'_>,
@@ -40,7 +39,7 @@ impl RobustChoice<'_> {
             .enumerate()
             .map(|(i, s)| (i % worlds.len(), self.session.space.action(&s.x)))
             .collect();
-        let values = worlds.each(&jobs, &self.session.counter)?;
+        let values = worlds.each(&jobs)?;
         let mut order: Vec<usize> = (0..scanned.len()).filter(|&i| values[i].is_finite()).collect();
         order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
         for ((world, action), &objective) in jobs.into_iter().zip(&values) {
@@ -120,8 +119,7 @@ impl RobustChoice<'_> {
         Ok((first..all.len()).collect())
     }
 
-    /// Returns the first `count` ranked candidates that differ by more than a small step, and the nominally best of
-    /// all.
+    /// The first `count` ranked candidates that differ by more than a small step, and the nominally best of all.
     pub(crate) fn apart(&self, all: &[RobustCandidate], ranked: &[usize], count: usize) -> Vec<usize> {
         let mut chosen: Vec<usize> = Vec::new();
         for &i in ranked {

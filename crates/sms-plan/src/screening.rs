@@ -44,8 +44,7 @@ pub fn points(
         .filter(|_| suggestions)
         .map(|x| unknown(x.clone(), true))
         .chain((0..).map(|i: u64| {
-            // Each sequence has its own index, which advances by one. Every other index alone would cover only half of
-            // the first parameter's range.
+            // Each sequence has its own index: every other point covers only half of the first parameter's range.
             if !space.has_promising() {
                 unknown(everywhere.point(i), false)
             } else if i.is_multiple_of(2) {

@@ -46,9 +46,8 @@ impl SearchLog {
     }
 }
 
-/// Creates the configured optimiser. Screened points and random simplexes contain only strikes that the robot can carry
-/// out.
-fn optimiser(
+/// Creates the configured optimiser, with screened points and random simplexes of feasible strikes.
+pub(crate) fn optimiser(
     space: &Space,
     config: &PlanConfig,
     seed: Seed,
@@ -62,14 +61,15 @@ fn optimiser(
         starts: config.starts,
         sharing,
     };
-    let screen = || points(space, config.suggestions, seed, screening.max(1), feasible);
-    let screened = |settings| Ok::<_, PlanError>(Descents::screened(space, settings, screen()?));
-    Ok(match config.method {
-        Method::Halving => Box::new(screened(descents("halving", Sharing::Halving(config.survivors)))?),
-        Method::MultiStart => {
-            Box::new(Descents::random(space, descents("multi_start", Sharing::Even), seed, feasible)?)
+    Ok(Box::new(match config.method {
+        Method::Halving => {
+            let screen = points(space, config.suggestions, seed, screening.max(1), feasible)?;
+            Descents::screened(space, descents("halving", Sharing::Halving(config.survivors)), screen)
         }
-    })
+        Method::MultiStart => {
+            Descents::random(space, descents("multi_start", Sharing::Even), seed, feasible)?
+        }
+    }))
 }
 
 /// Searches with at most `budget` evaluations. Infeasible strikes do not count: screening and populations draw other
@@ -100,13 +100,8 @@ pub(crate) fn search_by(
     let mut counts: BTreeMap<i32, i32> = BTreeMap::new();
     for (proposal, objective) in log {
         let count = counts.entry(proposal.start).or_default();
-        found.trials.push(Trial::new(
-            proposal.phase,
-            proposal.start,
-            *count,
-            space.action(&proposal.x),
-            objective,
-        ));
+        let action = space.action(&proposal.x);
+        found.trials.push(Trial::new(proposal.phase, proposal.start, *count, action, objective));
         *count += 1;
         found.scored.push(ScoredPoint { x: proposal.x, objective });
     }

@@ -2,7 +2,7 @@
 
 use crate::candidate::RobustCandidate;
 use crate::session::Session;
-use crate::worlds::Worlds;
+use crate::worlds::{PerturbedWorlds, Worlds};
 use crate::{BodyProperty, PlanError, Sensitivity, Trial, TrialPhase, Unknown};
 use rayon::prelude::*;
 use sms_scene::BodyKind;
@@ -53,13 +53,10 @@ impl SensitivityAnalysis<'_> {
         for (k, unknown) in unknowns.iter().enumerate() {
             let seed = self.session.seed.derive("sensitivity");
             let which = |u: &Unknown| u == unknown;
-            let worlds = self.session.partly_perturbed_worlds(seed, 0..each, &which)?;
+            let worlds = PerturbedWorlds::new(self.session, seed, 0..each, &which)?;
             let action = std::slice::from_ref(&self.winner.action);
-            let row = worlds.objectives(action, 0..each, &self.session.counter)?.remove(0);
-            for (w, &objective) in row.iter().enumerate() {
-                let action = self.winner.action.clone();
-                trials.push(Trial::new(TrialPhase::Sensitivity, k as i32, w as i32, action, objective));
-            }
+            let row = worlds.objectives(action, 0..each)?.remove(0);
+            trials.extend(Trial::row(TrialPhase::Sensitivity, k, 0, &self.winner.action, &row));
             let valid: Vec<f64> = row.into_iter().filter(|v| v.is_finite()).collect();
             let sum: f64 = valid.iter().map(|v| (v - nominal.objective).powi(2)).sum();
             squares.push(sum / valid.len().max(1) as f64);
@@ -76,7 +73,7 @@ impl SensitivityAnalysis<'_> {
             })
             .collect();
         found.sort_by(|a, b| b.share.total_cmp(&a.share));
-        let mut start = found.len() as i32;
+        let mut start = found.len();
         let materials = found.iter_mut().filter(|s| s.share >= REFINED_SHARE);
         let materials = materials.filter_map(|s| match s.unknown.clone() {
             Unknown::Material { body } => Some((body, s)),
@@ -84,19 +81,18 @@ impl SensitivityAnalysis<'_> {
         });
         for (body, s) in materials.take(MOST_REFINED) {
             s.property = self.property_of(&body, each.min(REFINED_WORLDS), nominal, start, trials)?;
-            start += BodyProperty::ALL.len() as i32;
+            start += BodyProperty::ALL.len();
         }
         Ok(found)
     }
 
-    /// The property of a body with the largest effect. Each has the same perturbation as in the analysis of the whole
-    /// material.
+    /// The property of a body with the largest effect, each perturbed as in the analysis of the whole material.
     fn property_of(
         &self,
         name: &str,
         each: usize,
         nominal: &Rollout,
-        start: i32,
+        start: usize,
         trials: &mut Vec<Trial>,
     ) -> Result<Option<BodyProperty>, PlanError> {
         let d = &self.session.config.perturbation;
@@ -116,10 +112,7 @@ impl SensitivityAnalysis<'_> {
                     self.session.counter.count(|| world.objective(&self.session.task.strike(action)))
                 })
                 .collect::<Result<_, PlanError>>()?;
-            for (w, &objective) in row.iter().enumerate() {
-                let start = start + k as i32;
-                trials.push(Trial::new(TrialPhase::Sensitivity, start, w as i32, action.clone(), objective));
-            }
+            trials.extend(Trial::row(TrialPhase::Sensitivity, start + k, 0, action, &row));
             let valid = row.iter().filter(|v| v.is_finite());
             let square: f64 = valid.map(|v| (v - nominal.objective).powi(2)).sum();
             if square > most.map_or(0.0, |m| m.0) {
@@ -129,8 +122,7 @@ impl SensitivityAnalysis<'_> {
         Ok(most.map(|m| m.1))
     }
 
-    /// Returns whether a body takes part in the shot: the struck and the target body, static bodies, and bodies with
-    /// contacts.
+    /// Returns whether a body is the struck or the target body, is static, or has contacts in the shot.
     fn is_involved(&self, name: &str) -> bool {
         let Some(index) = self.session.scene.body_index(name) else { return false };
         let is_fixed = self.session.scene.bodies[index].kind == BodyKind::Static;

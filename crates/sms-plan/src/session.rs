@@ -3,13 +3,12 @@
 use crate::counter::Counter;
 use crate::space::Space;
 use crate::strategy::strategy_of;
-use crate::worlds::{PerturbedWorlds, WorldFamily, Worlds};
-use crate::{LocalSearch, PlanConfig, PlanError, Unknown};
+use crate::worlds::Worlds;
+use crate::{LocalSearch, PlanConfig, PlanError};
 use sms_core::Seed;
 use sms_scene::Scene;
 use sms_sim::WorldFactory;
 use sms_task::{Action, ResolvedTask, Rollout};
-use std::ops::Range;
 
 /// One planning run: its input, the scanned world and the counter of rollouts.
 pub(crate) struct Session<'a> {
@@ -25,14 +24,13 @@ pub(crate) struct Session<'a> {
     pub(crate) counter: Counter<'a>,
 }
 
-impl<'a> Session<'a> {
+impl Session<'_> {
     /// Whether the robot can carry out the strike of a unit point.
     pub(crate) fn is_feasible(&self, x: &[f64]) -> Result<bool, PlanError> {
         self.counter.draw(self.task, &self.space.action(x))
     }
 
-    /// Returns the next point of a local search with a strike that the robot can carry out; `None` when the search has
-    /// ended.
+    /// The next point of a local search with a strike that the robot can carry out; `None` at the end of the search.
     pub(crate) fn next_feasible(&self, search: &mut LocalSearch) -> Result<Option<Vec<f64>>, PlanError> {
         while let Some(x) = search.next_point().map(<[f64]>::to_vec) {
             if self.is_feasible(&x)? {
@@ -51,31 +49,5 @@ impl<'a> Session<'a> {
     /// The name of the strategy that a rollout follows.
     pub(crate) fn strategy_of(&self, rollout: &Rollout) -> String {
         strategy_of(rollout, self.scene, self.task)
-    }
-
-    /// Returns the worlds of a family with all unknowns perturbed, by their indices.
-    pub(crate) fn perturbed_worlds(
-        &self,
-        seed: Seed,
-        indices: Range<usize>,
-    ) -> Result<PerturbedWorlds<'a>, PlanError> {
-        self.partly_perturbed_worlds(seed, indices, &|_| true)
-    }
-
-    /// Returns the worlds of a family with only the unknowns selected by `which` perturbed.
-    pub(crate) fn partly_perturbed_worlds(
-        &self,
-        seed: Seed,
-        indices: Range<usize>,
-        which: &(dyn Fn(&Unknown) -> bool + Sync),
-    ) -> Result<PerturbedWorlds<'a>, PlanError> {
-        let family = WorldFamily {
-            task: self.task,
-            scene: self.scene,
-            factory: self.factory,
-            perturbation: &self.config.perturbation,
-            seed,
-        };
-        PerturbedWorlds::new(family, indices, which)
     }
 }

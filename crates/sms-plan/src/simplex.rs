@@ -1,7 +1,20 @@
 //! The downhill simplex method as a state machine in ask-and-tell form. Searches can be stopped and continued, and
 //! many of them can be evaluated in parallel.
 
-use crate::{BoxBounds, Minimum, NelderMead};
+use crate::{BoxBounds, NelderMead};
+
+/// The result of a search.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Minimum {
+    /// The best point.
+    pub x: Vec<f64>,
+    /// Its objective; infinite if nothing could be evaluated.
+    pub objective: f64,
+    /// Points evaluated.
+    pub evaluations: usize,
+    /// Iterations of the method.
+    pub iterations: usize,
+}
 
 #[derive(Debug, Clone)]
 struct Vertex {
@@ -27,8 +40,7 @@ enum SimplexStep {
     Done,
 }
 
-/// One descent of [`NelderMead`] from a simplex, without restarts. Requests the same points as SciPy's method, in the
-/// same order.
+/// One descent of [`NelderMead`] from a simplex, without restarts. Requests the points of SciPy's method in its order.
 #[derive(Debug, Clone)]
 pub struct SimplexSearch {
     settings: NelderMead,
@@ -96,8 +108,7 @@ impl SimplexSearch {
         self.evaluations
     }
 
-    /// Receives the value of [`SimplexSearch::next_point`]. NaN counts as infinite. Returns whether this completed an
-    /// iteration.
+    /// Receives the value of [`SimplexSearch::next_point`]; NaN is infinite. Returns whether an iteration is complete.
     pub fn tell(&mut self, value: f64) -> bool {
         let f = if value.is_nan() { f64::INFINITY } else { value };
         self.evaluations += 1;
@@ -170,19 +181,6 @@ impl SimplexSearch {
             }
             SimplexStep::Done => false,
         }
-    }
-
-    /// Replaces the requested point.
-    fn move_point(&mut self, x: Vec<f64>) {
-        self.asked = x;
-    }
-
-    fn is_first_simplex(&self) -> bool {
-        matches!(self.step, SimplexStep::First(_))
-    }
-
-    fn end(&mut self) {
-        self.step = SimplexStep::Done;
     }
 
     fn replace_worst(&mut self, x: Vec<f64>, f: f64) -> bool {
@@ -262,8 +260,7 @@ impl SimplexSearch {
 const RETREATS: [f64; 3] = [0.5, 0.25, 0.125];
 const FIRST_RETREATS: [f64; 5] = [-1.0, 0.5, -0.5, 0.25, -0.25];
 
-/// Number of consecutive refusals that ends a search: more than two whole simplexes with all their retreats in four
-/// dimensions.
+/// Number of consecutive refusals that ends a search: over two simplexes with all retreats in four dimensions.
 const MOST_REFUSED: usize = 64;
 
 /// A descent in the unit box with the restarts of [`NelderMead::restarts`]; it can be stopped and continued.
@@ -341,12 +338,13 @@ impl LocalSearch {
         let Some(asked) = self.simplex.next_point().map(<[f64]>::to_vec) else { return };
         let best = self.minimum().x;
         let (from, count) = self.retreat.take().unwrap_or((asked, 0));
-        let shares: &[f64] = if self.simplex.is_first_simplex() { &FIRST_RETREATS } else { &RETREATS };
+        let shares: &[f64] =
+            if matches!(self.simplex.step, SimplexStep::First(_)) { &FIRST_RETREATS } else { &RETREATS };
         let inside = |x: &Vec<f64>| x.iter().all(|v| (0.0..=1.0).contains(v));
         for (k, share) in shares.iter().enumerate().skip(count) {
             let x: Vec<f64> = best.iter().zip(&from).map(|(b, x)| b + share * (x - b)).collect();
             if inside(&x) && x != best {
-                self.simplex.move_point(x);
+                self.simplex.asked = x;
                 self.retreat = Some((from, k + 1));
                 return;
             }
@@ -361,7 +359,7 @@ impl LocalSearch {
 
     /// Ends the search.
     pub(crate) fn end(&mut self) {
-        self.simplex.end();
+        self.simplex.step = SimplexStep::Done;
         self.restarts_left = 0;
     }
 

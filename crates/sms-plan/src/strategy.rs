@@ -56,8 +56,7 @@ impl Strategy {
 pub(crate) struct Story {
     /// Name of the strategy.
     pub(crate) name: String,
-    /// Bodies touched by the struck and the target body, in order, without these two, but including those that pass on
-    /// the motion in a chain.
+    /// Bodies touched by the struck and the target body, in order, with those that pass on the motion, without these two.
     pub(crate) involved: Vec<BodyId>,
 }
 

@@ -1,8 +1,8 @@
 //! The trial log.
 
 use serde::{Deserialize, Serialize};
-use sms_core::table::{Column, read_table, write_table};
-use sms_core::{CoreError, InputError};
+use sms_core::CoreError;
+use sms_core::table::{Column, write_table};
 use sms_task::{Action, Parameter};
 use std::path::Path;
 
@@ -65,6 +65,20 @@ impl Trial {
         let objective = if valid { objective } else { f64::INFINITY };
         Self { phase, start, iteration, action, objective, valid }
     }
+
+    /// Returns the trials of an action in consecutive worlds from the index `first` on.
+    pub(crate) fn row<'a>(
+        phase: TrialPhase,
+        start: usize,
+        first: usize,
+        action: &'a Action,
+        objectives: &'a [f64],
+    ) -> impl Iterator<Item = Self> + 'a {
+        let trial = move |(w, &objective): (usize, &f64)| {
+            Self::new(phase, start as i32, w as i32, action.clone(), objective)
+        };
+        (first..).zip(objectives).map(trial)
+    }
 }
 
 /// Writes `trials.parquet`: `phase`, `start`, `iteration`, one column per parameter (under its name), `objective` and
@@ -85,55 +99,4 @@ pub fn write_trials(path: &Path, parameters: &[Parameter], trials: &[Trial]) -> 
     columns.push(("objective", Column::F64(trials.iter().map(|t| t.objective).collect())));
     columns.push(("valid", Column::I32(trials.iter().map(|t| i32::from(t.valid)).collect())));
     write_table(path, &columns)
-}
-
-/// Reads `trials.parquet`.
-///
-/// # Errors
-/// [`CoreError::Read`] or [`CoreError::Input`] that names the file.
-pub fn read_trials(path: &Path) -> Result<Vec<Trial>, CoreError> {
-    let table = read_table(path)?;
-    let rows = table.first().map_or(0, |(_, c)| c.len());
-    let mut parameters = Vec::new();
-    let (mut phases, mut starts, mut iterations, mut objectives) = (None, None, None, None);
-    for (name, column) in table {
-        match (name.as_str(), column) {
-            ("phase", Column::Text(v)) => phases = Some(v),
-            ("start", Column::I32(v)) => starts = Some(v),
-            ("iteration", Column::I32(v)) => iterations = Some(v),
-            ("objective", Column::F64(v)) => objectives = Some(v),
-            (_, Column::F64(v)) => parameters.push(v),
-            _ => {}
-        }
-    }
-    let not_trials = || {
-        InputError::new(
-            "this table is not a trial log",
-            path,
-            "restore or regenerate the file with `sms plan`",
-        )
-    };
-    let (Some(phases), Some(starts), Some(iterations), Some(objectives)) =
-        (phases, starts, iterations, objectives)
-    else {
-        return Err(not_trials().into());
-    };
-    (0..rows)
-        .map(|i| {
-            let all = [
-                TrialPhase::Screen,
-                TrialPhase::Search,
-                TrialPhase::Perturbed,
-                TrialPhase::Forecast,
-                TrialPhase::Sensitivity,
-                TrialPhase::Reason,
-            ];
-            let phase = all
-                .into_iter()
-                .find(|p| p.as_str() == phases[i])
-                .ok_or_else(|| not_trials().because(format!("unknown phase `{}`", phases[i])))?;
-            let action = Action(parameters.iter().map(|c: &Vec<f64>| c[i]).collect());
-            Ok(Trial::new(phase, starts[i], iterations[i], action, objectives[i]))
-        })
-        .collect()
 }

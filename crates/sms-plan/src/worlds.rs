@@ -1,10 +1,10 @@
 //! Worlds: pools of simulations that rollouts borrow, for the scanned scene and for perturbed ones.
 
-use crate::counter::Counter;
 use crate::rollout_outcome::RolloutOutcome;
-use crate::{Perturbation, PlanError, Unknown};
+use crate::session::Session;
+use crate::{PlanError, Unknown};
 use rayon::prelude::*;
-use sms_core::{Cancel, Seed};
+use sms_core::Seed;
 use sms_scene::Scene;
 use sms_sim::{SimError, Simulation, Striker, StrikerMotion, WorldFactory, WorldOptions};
 use sms_task::{Action, MotionRecording, ResolvedTask, Rollout, WorldBodies};
@@ -60,24 +60,11 @@ impl<'a> Worlds<'a> {
     }
 }
 
-/// A family of perturbed worlds. The same index gives the same world for every action (common random numbers).
-#[derive(Clone, Copy)]
-pub struct WorldFamily<'a> {
-    /// The task.
-    pub task: &'a ResolvedTask,
-    /// The unperturbed scene.
-    pub scene: &'a Scene,
-    /// The engine.
-    pub factory: &'a dyn WorldFactory,
-    /// Errors in worlds and strikes.
-    pub perturbation: &'a Perturbation,
-    /// Seed of the family.
-    pub seed: Seed,
-}
-
-/// Some worlds of a family, with the simulations of each.
+/// Perturbed worlds of a family. An index gives the same world for every action (common random numbers).
 pub(crate) struct PerturbedWorlds<'a> {
-    family: WorldFamily<'a>,
+    session: &'a Session<'a>,
+    /// Seed of the family.
+    seed: Seed,
     /// Whether the execution is perturbed too.
     execution: bool,
     worlds: Vec<(usize, Worlds<'a>)>,
@@ -86,19 +73,20 @@ pub(crate) struct PerturbedWorlds<'a> {
 impl<'a> PerturbedWorlds<'a> {
     /// Builds the worlds with these indices, with only the unknowns selected by `which` perturbed.
     pub(crate) fn new(
-        family: WorldFamily<'a>,
+        session: &'a Session<'a>,
+        seed: Seed,
         indices: Range<usize>,
         which: &(dyn Fn(&Unknown) -> bool + Sync),
     ) -> Result<Self, PlanError> {
-        let bare = family.scene.without_pictures();
+        let bare = session.scene.without_pictures();
         let worlds = indices
             .into_par_iter()
             .map(|index| {
-                let scene = family.perturbation.scene_of(&bare, family.seed, index, which);
-                Ok((index, Worlds::new(family.task, Cow::Owned(scene), family.factory)?))
+                let scene = session.config.perturbation.scene_of(&bare, seed, index, which);
+                Ok((index, Worlds::new(session.task, Cow::Owned(scene), session.factory)?))
             })
             .collect::<Result<_, PlanError>>()?;
-        Ok(Self { family, execution: which(&Unknown::Execution), worlds })
+        Ok(Self { session, seed, execution: which(&Unknown::Execution), worlds })
     }
 
     /// Number of worlds.
@@ -107,50 +95,42 @@ impl<'a> PerturbedWorlds<'a> {
     }
 
     /// Returns the objectives of pairs of a world (position) and an action, in order.
-    pub(crate) fn each<A: Borrow<Action> + Sync>(
-        &self,
-        jobs: &[(usize, A)],
-        counter: &Counter<'_>,
-    ) -> Result<Vec<f64>, PlanError> {
-        Ok(self.look_each(jobs, counter, &|_| ())?.into_iter().map(|seen| seen.0.objective()).collect())
+    pub(crate) fn each<A: Borrow<Action> + Sync>(&self, jobs: &[(usize, A)]) -> Result<Vec<f64>, PlanError> {
+        Ok(self.look_each(jobs, &|_| ())?.into_iter().map(|seen| seen.0.objective()).collect())
     }
 
     /// Returns the outcome of each pair, with the result of `look` for simulated ones.
     fn look_each<A: Borrow<Action> + Sync, T: Send>(
         &self,
         jobs: &[(usize, A)],
-        counter: &Counter<'_>,
         look: &(dyn Fn(&Rollout) -> T + Sync),
     ) -> Result<Vec<(RolloutOutcome, Option<T>)>, PlanError> {
+        let task = self.session.task;
         // Grouped by world, so that each thread builds each world at most once.
         let mut order: Vec<usize> = (0..jobs.len()).collect();
         order.sort_by_key(|&j| jobs[j].0);
-        let found: Vec<(RolloutOutcome, Option<T>)> = order
-            .par_iter()
-            .map(|&j| {
+        let mut found: Vec<(usize, (RolloutOutcome, Option<T>))> = order
+            .into_par_iter()
+            .map(|j| {
                 let (index, world) = &self.worlds[jobs[j].0];
-                let asked = self.family.task.strike(jobs[j].1.borrow());
+                let asked = task.strike(jobs[j].1.borrow());
                 let mut seen = None;
-                let shot = counter.shot(|| {
+                let shot = self.session.counter.shot(|| {
                     let striker = if self.execution {
-                        let strike = self.family.perturbation.strike(&asked, self.family.seed, *index);
-                        self.family.task.striker_near(&asked, &strike)?
+                        let strike = self.session.config.perturbation.strike(&asked, self.seed, *index);
+                        task.striker_near(&asked, &strike)?
                     } else {
-                        self.family.task.striker(&asked)?
+                        task.striker(&asked)?
                     };
                     let rollout = world.carry_out(&striker, None)?;
                     seen = Some(look(&rollout));
                     Ok(rollout.objective)
                 })?;
-                Ok((shot, seen))
+                Ok((j, (shot, seen)))
             })
             .collect::<Result<_, PlanError>>()?;
-        let mut values: Vec<(RolloutOutcome, Option<T>)> =
-            std::iter::repeat_with(|| (RolloutOutcome::Invalid, None)).take(jobs.len()).collect();
-        for (j, value) in order.into_iter().zip(found) {
-            values[j] = value;
-        }
-        Ok(values)
+        found.sort_by_key(|(j, _)| *j);
+        Ok(found.into_iter().map(|(_, outcome)| outcome).collect())
     }
 
     /// The objectives of each action in the worlds `range` (positions, not indices), in the order of the worlds.
@@ -158,9 +138,8 @@ impl<'a> PerturbedWorlds<'a> {
         &self,
         actions: &[Action],
         range: Range<usize>,
-        counter: &Counter<'_>,
     ) -> Result<Vec<Vec<f64>>, PlanError> {
-        let rows = self.look(actions, range, counter, &|_| ())?;
+        let rows = self.look(actions, range, &|_| ())?;
         Ok(rows.into_iter().map(|row| row.into_iter().map(|seen| seen.0.objective()).collect()).collect())
     }
 
@@ -169,37 +148,13 @@ impl<'a> PerturbedWorlds<'a> {
         &self,
         actions: &[Action],
         range: Range<usize>,
-        counter: &Counter<'_>,
         look: &(dyn Fn(&Rollout) -> T + Sync),
     ) -> Result<Vec<Vec<(RolloutOutcome, Option<T>)>>, PlanError> {
-        let (first, count) = (range.start, range.len());
-        let pairs: Vec<(usize, usize)> =
-            range.flat_map(|w| (0..actions.len()).map(move |a| (w, a))).collect();
-        let jobs: Vec<(usize, &Action)> = pairs.iter().map(|&(w, a)| (w, &actions[a])).collect();
-        let values = self.look_each(&jobs, counter, look)?;
-        let nothing = || std::iter::repeat_with(|| (RolloutOutcome::Invalid, None)).take(count).collect();
-        let mut rows: Vec<Vec<(RolloutOutcome, Option<T>)>> =
-            std::iter::repeat_with(nothing).take(actions.len()).collect();
-        for ((w, a), value) in pairs.into_iter().zip(values) {
-            rows[a][w - first] = value;
+        let jobs: Vec<(usize, &Action)> = range.flat_map(|w| actions.iter().map(move |a| (w, a))).collect();
+        let mut rows: Vec<Vec<_>> = actions.iter().map(|_| Vec::new()).collect();
+        for (k, outcome) in self.look_each(&jobs, look)?.into_iter().enumerate() {
+            rows[k % actions.len()].push(outcome);
         }
         Ok(rows)
     }
-}
-
-/// Carries out an action in the first `count` worlds of a family. Returns the objectives in the order of the worlds,
-/// infinite for invalid rollouts. This measures the value of a plan, because the planner's own families have other
-/// seeds.
-///
-/// # Errors
-/// [`PlanError`]: a scene that cannot be simulated, or interruption.
-pub fn rehearse(
-    family: WorldFamily<'_>,
-    action: &Action,
-    count: usize,
-    cancel: &Cancel,
-) -> Result<Vec<f64>, PlanError> {
-    let worlds = PerturbedWorlds::new(family, 0..count, &|_| true)?;
-    let counter = Counter::new(&sms_core::NoProgress, cancel);
-    Ok(worlds.objectives(std::slice::from_ref(action), 0..count, &counter)?.remove(0))
 }

@@ -93,65 +93,78 @@ pub fn build_scene(
 
 fn dynamic_body(entity: &Entity, material: Material) -> Result<Body, BuildError> {
     let mass_error = |source| BuildError::Mass { name: entity.name.clone(), source };
+    let primitive = primitive(&entity.shape);
+    if primitive.is_none() && entity.parts.is_empty() {
+        return Err(BuildError::NoParts(entity.name.clone()));
+    }
     let density = material.density.value.best;
-    let (x_ws, solid) = match &entity.shape {
-        EntityShape::Sphere { center_w, radius } => (
-            DPose3::from_translation(*center_w),
-            sphere_mass_properties(DVec3::ZERO, *radius, density).map_err(mass_error)?,
-        ),
-        EntityShape::Box { x_ws, half_extents } => {
-            (*x_ws, box_mass_properties(*half_extents, density).map_err(mass_error)?)
-        }
-        EntityShape::Cylinder { x_ws, radius, half_length } => {
-            (*x_ws, cylinder_mass_properties(*radius, *half_length, density).map_err(mass_error)?)
-        }
-        EntityShape::Convex | EntityShape::TriMesh => {
-            if entity.parts.is_empty() {
-                return Err(BuildError::NoParts(entity.name.clone()));
-            }
-            (DPose3::identity(), polyhedron_mass_properties(&entity.mesh, density).map_err(mass_error)?)
-        }
-    };
-    let x_wb = x_ws * DPose3::from_translation(solid.com());
+    let solid = solid(primitive.as_ref(), &entity.mesh, density).map_err(mass_error)?;
+    let x_wb = frame_w(&entity.shape) * DPose3::from_translation(solid.com());
     let x_bw = x_wb.inverse();
     let mass = hollowed(&solid, material.fill_factor.value.best).map_err(mass_error)?;
-    Ok(Body {
+    let shape = primitive.unwrap_or_else(|| BodyShape::Hulls {
+        hulls: entity.parts.iter().map(|h| h.transformed(&x_bw)).collect(),
+    });
+    Ok(body_of(entity, material, x_wb, shape, Some(mass)))
+}
+
+/// Creates the body of an entity: a dynamic one if it has a mass.
+fn body_of(
+    entity: &Entity,
+    material: Material,
+    x_wb: DPose3,
+    shape: BodyShape,
+    mass: Option<MassProperties>,
+) -> Body {
+    Body {
         name: entity.name.clone(),
         label: entity.label,
         description: entity.description.clone(),
-        kind: BodyKind::Dynamic,
+        kind: if mass.is_some() { BodyKind::Dynamic } else { BodyKind::Static },
         x_wb,
-        shape: primitive(&entity.shape).unwrap_or_else(|| BodyShape::Hulls {
-            hulls: entity.parts.iter().map(|h| h.transformed(&x_bw)).collect(),
-        }),
-        visual: entity.mesh.transformed(&x_bw),
+        shape,
+        visual: entity.mesh.transformed(&x_wb.inverse()),
         texture: entity.texture.clone(),
-        mass: Some(mass),
+        mass,
         material,
         color: entity.mean_color,
         observed_share: entity.observed_share,
         fit_se_m: fit_se_m(entity),
-    })
+    }
 }
 
-/// Largest distance of a static body's frame from its centre of mass for making it dynamic, metres: the frame of a dynamic body
-/// lies at its centre of mass.
+/// Computes the mass properties of a homogeneous primitive, or else of the volume that `surface` encloses.
+fn solid(shape: Option<&BodyShape>, surface: &Mesh, density: f64) -> Result<MassProperties, InertiaError> {
+    match shape {
+        Some(BodyShape::Sphere { radius }) => sphere_mass_properties(DVec3::ZERO, *radius, density),
+        Some(BodyShape::Box { half_extents }) => box_mass_properties(*half_extents, density),
+        Some(BodyShape::Cylinder { radius, half_length }) => {
+            cylinder_mass_properties(*radius, *half_length, density)
+        }
+        _ => polyhedron_mass_properties(surface, density),
+    }
+}
+
+/// The frame of an entity's primitive in the world; else the world's.
+fn frame_w(shape: &EntityShape) -> DPose3 {
+    match shape {
+        EntityShape::Sphere { center_w, .. } => DPose3::from_translation(*center_w),
+        EntityShape::Box { x_ws, .. } | EntityShape::Cylinder { x_ws, .. } => *x_ws,
+        EntityShape::Convex | EntityShape::TriMesh => DPose3::identity(),
+    }
+}
+
+/// Largest distance of a static body's frame from its centre of mass, where a dynamic body has its frame, metres.
 const CENTERED_M: f64 = 1e-3;
 
 /// Returns the mass properties that a static body would have as a dynamic one: those of its shape with its material, as in
 /// [`build_scene`]. A body that was fixed because it did not rest gets its earlier mass. `None` for half spaces, open surfaces,
 /// and bodies with a frame off their centre of mass.
 pub fn loose_mass(body: &Body) -> Option<MassProperties> {
-    let density = body.material.density.value.best;
-    let solid = match &body.shape {
-        BodyShape::Sphere { radius } => sphere_mass_properties(DVec3::ZERO, *radius, density),
-        BodyShape::Box { half_extents } => box_mass_properties(*half_extents, density),
-        BodyShape::Cylinder { radius, half_length } => {
-            cylinder_mass_properties(*radius, *half_length, density)
-        }
-        BodyShape::Hulls { .. } => polyhedron_mass_properties(&body.visual, density),
-        BodyShape::HalfSpace | BodyShape::TriMesh { .. } => return None,
-    };
+    if matches!(body.shape, BodyShape::HalfSpace | BodyShape::TriMesh { .. }) {
+        return None;
+    }
+    let solid = solid(Some(&body.shape), &body.visual, body.material.density.value.best);
     let solid = solid.ok().filter(|s| s.com().length() <= CENTERED_M)?;
     hollowed(&solid, body.material.fill_factor.value.best).ok()
 }
@@ -199,37 +212,17 @@ fn fit_se_m(entity: &Entity) -> f64 {
 }
 
 fn static_body(entity: &Entity, material: Material) -> Body {
-    let x_wb = match &entity.shape {
-        EntityShape::Sphere { center_w, .. } => DPose3::from_translation(*center_w),
-        EntityShape::Box { x_ws, .. } | EntityShape::Cylinder { x_ws, .. } => *x_ws,
-        EntityShape::Convex | EntityShape::TriMesh => DPose3::identity(),
-    };
     let shape = match primitive(&entity.shape) {
         Some(shape) => shape,
         None if entity.shape == EntityShape::Convex && !entity.parts.is_empty() => {
             BodyShape::Hulls { hulls: entity.parts.clone() }
         }
-        None => BodyShape::TriMesh { mesh: without_colors(&entity.mesh) },
+        // Without the colours.
+        None => BodyShape::TriMesh {
+            mesh: Mesh::new(entity.mesh.vertices.clone(), entity.mesh.triangles.clone()),
+        },
     };
-    Body {
-        name: entity.name.clone(),
-        label: entity.label,
-        description: entity.description.clone(),
-        kind: BodyKind::Static,
-        x_wb,
-        shape,
-        visual: entity.mesh.transformed(&x_wb.inverse()),
-        texture: entity.texture.clone(),
-        mass: None,
-        material,
-        color: entity.mean_color,
-        observed_share: entity.observed_share,
-        fit_se_m: fit_se_m(entity),
-    }
-}
-
-fn without_colors(mesh: &Mesh) -> Mesh {
-    Mesh::new(mesh.vertices.clone(), mesh.triangles.clone())
+    body_of(entity, material, frame_w(&entity.shape), shape, None)
 }
 
 /// Returns a plain material for examples and tests: wood-like, every value from a prior with ±20 %.

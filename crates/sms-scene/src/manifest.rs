@@ -37,8 +37,7 @@ impl From<InputError> for SceneError {
     }
 }
 
-/// `M` is the type of the mass properties. Reading keeps them as JSON and converts them body by body, so that an error can name
-/// the body.
+/// `M` is the type of the mass properties. Reading converts them from JSON body by body, so that an error names the body.
 #[derive(Serialize, Deserialize)]
 struct ManifestFile<M> {
     version: u32,
@@ -78,13 +77,18 @@ enum ShapeEntry {
     TriMesh { file: String },
 }
 
-fn visual_stem(body: &Body) -> String {
-    format!("{}_visual", body.name)
+fn visual_stem(body: &str) -> String {
+    format!("{body}_visual")
+}
+
+/// The problems of a scene, one a line; empty for a valid scene.
+fn problem_lines(scene: &Scene) -> String {
+    scene.validate().iter().map(ToString::to_string).collect::<Vec<_>>().join("\n  ")
 }
 
 /// Returns the file name of a body's visual mesh, below the scene's folder.
 pub fn visual_file(body: &Body) -> String {
-    format!("meshes/{}.obj", visual_stem(body))
+    format!("meshes/{}.obj", visual_stem(&body.name))
 }
 
 /// Returns the file name of a body's hull, below the scene's folder.
@@ -106,7 +110,7 @@ pub fn write_meshes(scene: &Scene, dir: &Path) -> Result<(), CoreError> {
         if !body.visual.triangles.is_empty() {
             match &body.texture {
                 Some(texture) => {
-                    write_textured_obj(&body.visual, texture, &dir.join("meshes"), &visual_stem(body))?;
+                    write_textured_obj(&body.visual, texture, &dir.join("meshes"), &visual_stem(&body.name))?;
                 }
                 None => body.visual.write_obj(&dir.join(visual_file(body)))?,
             }
@@ -132,10 +136,9 @@ pub fn write_meshes(scene: &Scene, dir: &Path) -> Result<(), CoreError> {
 /// # Errors
 /// [`SceneError::Invalid`] with every problem, or [`SceneError::Core`] when a file cannot be written.
 pub fn save_scene(dir: &Path, scene: &Scene) -> Result<(), SceneError> {
-    let problems = scene.validate();
+    let problems = problem_lines(scene);
     if !problems.is_empty() {
-        let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
-        return Err(SceneError::Invalid(lines.join("\n  ")));
+        return Err(SceneError::Invalid(problems));
     }
     write_meshes(scene, dir)?;
     let entry = |body: &Body| BodyEntry {
@@ -220,13 +223,11 @@ pub fn load_scene(dir: &Path) -> Result<Scene, SceneError> {
             }
             ShapeEntry::TriMesh { file } => BodyShape::TriMesh { mesh: read_mesh(&file)? },
         };
-        let visual = match &entry.visual {
-            Some(file) => read_mesh(file)?,
-            None => Mesh::default(),
-        };
-        let texture = match &entry.visual {
-            Some(_) => read_mesh_texture(&dir.join("meshes"), &format!("{}_visual", entry.name))?,
-            None => None,
+        let (visual, texture) = match &entry.visual {
+            Some(file) => {
+                (read_mesh(file)?, read_mesh_texture(&dir.join("meshes"), &visual_stem(&entry.name))?)
+            }
+            None => (Mesh::default(), None),
         };
         bodies.push(Body {
             texture,
@@ -251,13 +252,12 @@ pub fn load_scene(dir: &Path) -> Result<Scene, SceneError> {
         x_world_recording: file.x_world_recording,
         bodies,
     };
-    let problems = scene.validate();
+    let problems = problem_lines(&scene);
     if problems.is_empty() {
         return Ok(scene);
     }
-    let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
     Err(InputError::new(
-        format!("this scene cannot be simulated:\n  {}", lines.join("\n  ")),
+        format!("this scene cannot be simulated:\n  {problems}"),
         &path,
         "correct these bodies in this file or in their meshes, or write the scene again with `sms materialize`",
     )

@@ -137,31 +137,13 @@ impl Scene {
         self.bodies.iter().find(|b| b.name == name)
     }
 
-    /// Returns the scene without visual meshes and textures, which are not copied: those of a hundred perturbed scenes would fill
-    /// the memory.
+    /// Returns the scene without visual meshes and textures: those of a hundred perturbed scenes would fill the memory.
     pub fn without_pictures(&self) -> Self {
-        let bare = |b: &Body| Body {
-            name: b.name.clone(),
-            label: b.label,
-            description: b.description.clone(),
-            kind: b.kind,
-            x_wb: b.x_wb,
-            shape: b.shape.clone(),
-            visual: Mesh::default(),
-            texture: None,
-            mass: b.mass,
-            material: b.material.clone(),
-            color: b.color,
-            observed_share: b.observed_share,
-            fit_se_m: b.fit_se_m,
-        };
-        Self {
-            version: self.version,
-            name: self.name.clone(),
-            gravity_w: self.gravity_w,
-            x_world_recording: self.x_world_recording,
-            bodies: self.bodies.iter().map(bare).collect(),
+        let mut bare = self.clone();
+        for body in &mut bare.bodies {
+            (body.visual, body.texture) = (Mesh::default(), None);
         }
+        bare
     }
 
     /// Returns the index of the body of this name.

@@ -12,25 +12,26 @@
 //! rotors, friction and inertia would depend on its solver. The approach here needs only one kind of body, and every
 //! engine uses the arm that is tested against Pinocchio.
 
-use crate::{BodyId, BodyState, KinematicShape, World};
+use crate::{BodyId, BodyState, World};
 use glamx::{DPose3, DQuat, DVec3};
 use sms_robots::{ArmStrike, SweepDrive};
 
 /// An arm in a world.
 #[derive(Clone)]
 pub(crate) struct ArmInWorld {
-    drive: SweepDrive,
-    state: BodyState,
+    pub(crate) drive: SweepDrive,
+    /// State of the tool.
+    pub(crate) state: BodyState,
     /// The touch expected in the next step: point on the tool and direction.
     touch: Option<(DVec3, DVec3)>,
-    /// Acceleration in the next step.
-    acceleration_w: DVec3,
+    /// Acceleration of the free tool, m/s²; see [`Self::look_ahead`].
+    pub(crate) acceleration_w: DVec3,
     mass: f64,
     speed_before_w: DVec3,
     /// Sum of the received impulses, N·s.
-    impulse_w: DVec3,
+    pub(crate) impulse_w: DVec3,
     /// Energy given to touched bodies, J.
-    work_j: f64,
+    pub(crate) work_j: f64,
 }
 
 impl ArmInWorld {
@@ -48,27 +49,9 @@ impl ArmInWorld {
         }
     }
 
-    pub(crate) fn shape(&self) -> KinematicShape {
-        KinematicShape::Cuboid { half: self.drive.strike().half }
-    }
-
-    pub(crate) fn duration_s(&self) -> f64 {
-        self.drive.strike().duration_s()
-    }
-
-    /// State of the tool.
-    pub(crate) fn state(&self) -> BodyState {
-        self.state
-    }
-
     /// Announces a touch in the next step.
     pub(crate) fn expect(&mut self, point_w: DVec3, normal_w: DVec3) {
         self.touch = Some((point_w, normal_w));
-    }
-
-    /// Acceleration of the free tool, m/s²; see [`Self::look_ahead`].
-    pub(crate) fn acceleration_w(&self) -> DVec3 {
-        self.acceleration_w
     }
 
     /// Computes the tool's current acceleration.
@@ -104,24 +87,6 @@ impl ArmInWorld {
             self.state = state_of(&mut self.drive);
         }
         self.state
-    }
-
-    /// Removes the arm from the world.
-    pub(crate) fn park(&mut self) {
-        self.state.x_wb.translation.z += crate::striker::RETRACTION_M;
-        (self.state.v_w, self.state.w_w) = (DVec3::ZERO, DVec3::ZERO);
-    }
-
-    pub(crate) fn work_j(&self) -> f64 {
-        self.work_j
-    }
-
-    pub(crate) fn impulse_w(&self) -> DVec3 {
-        self.impulse_w
-    }
-
-    pub(crate) fn drive(&self) -> &SweepDrive {
-        &self.drive
     }
 }
 

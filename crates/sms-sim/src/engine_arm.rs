@@ -1,6 +1,6 @@
 //! An arm as an articulation of the engine: the controller of [`crate::arm`] on the engine's own joints.
 
-use crate::{BodyId, BodyState, KinematicShape, World};
+use crate::{BodyId, BodyState, World};
 use sms_robots::{ArmStrike, MAX_JOINTS, Osc, ToolPath, Workspace};
 use std::sync::Arc;
 
@@ -10,11 +10,12 @@ const TICK_S: f64 = 1e-6;
 /// The controller of an engine's arm.
 #[derive(Clone)]
 pub(crate) struct EngineArm {
-    strike: Arc<ArmStrike>,
+    pub(crate) strike: Arc<ArmStrike>,
     osc: Osc,
     tau: [f64; MAX_JOINTS],
     ticks: usize,
-    state: BodyState,
+    /// State of the tool.
+    pub(crate) state: BodyState,
 }
 
 impl EngineArm {
@@ -23,18 +24,6 @@ impl EngineArm {
         strike.model.gravity_torques(&strike.q_start, &mut Workspace::default(), &mut hold);
         let osc = Osc::new(strike.osc, &strike.q_start, &hold[..strike.model.dof()]);
         Self { strike, osc, tau: hold, ticks: 0, state }
-    }
-
-    pub(crate) fn shape(&self) -> KinematicShape {
-        KinematicShape::Cuboid { half: self.strike.half }
-    }
-
-    pub(crate) fn duration_s(&self) -> f64 {
-        self.strike.duration_s()
-    }
-
-    pub(crate) fn state(&self) -> BodyState {
-        self.state
     }
 
     /// Sets the torques for a step from `from_s` seconds after the start. They are recomputed in each control period.
@@ -53,11 +42,5 @@ impl EngineArm {
     pub(crate) fn after_step(&mut self, world: &dyn World, body: BodyId) -> BodyState {
         self.state = world.state(body);
         self.state
-    }
-
-    /// Removes the arm from the world.
-    pub(crate) fn park(&mut self) {
-        self.state.x_wb.translation.z += crate::striker::RETRACTION_M;
-        (self.state.v_w, self.state.w_w) = (glamx::DVec3::ZERO, glamx::DVec3::ZERO);
     }
 }

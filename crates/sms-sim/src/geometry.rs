@@ -3,7 +3,7 @@
 use crate::{BodyState, KinematicShape, SimError, StrikerMotion};
 use glamx::{DPose3, DQuat, DVec3};
 use parry3d_f64::query::PointQuery;
-use parry3d_f64::shape::{ConvexPolyhedron, Cuboid, Segment, TriMesh};
+use parry3d_f64::shape::{ConvexPolyhedron, Cuboid, TriMesh};
 use sms_core::{Aabb, Mesh};
 use sms_scene::{Body, BodyShape};
 
@@ -20,24 +20,22 @@ pub(crate) enum CollisionPart {
         radius: f64,
         half_length: f64,
     },
-    Capsule(Segment, f64),
 }
 
 impl CollisionPart {
     /// The point of the surface nearest to `p`, and whether `p` is inside.
     pub(crate) fn nearest(&self, p: DVec3) -> (DVec3, bool) {
-        let around = |center: DVec3, radius: f64| {
-            let out = (p - center).try_normalize().unwrap_or(DVec3::Z);
-            (center + radius * out, p.distance(center) < radius)
-        };
         match self {
             Self::HalfSpace => (DVec3::new(p.x, p.y, 0.0), p.z < 0.0),
-            Self::Sphere(radius) => around(DVec3::ZERO, *radius),
+            Self::Sphere(radius) => {
+                let out = p.try_normalize().unwrap_or(DVec3::Z);
+                // The sum has no negative zeros.
+                (DVec3::ZERO + *radius * out, p.length() < *radius)
+            }
             Self::Convex(s) => projected(s.project_local_point(p, true)),
             Self::Mesh(s) => (s.project_local_point(p, false).point, false),
             Self::Cuboid(s) => projected(s.project_local_point(p, true)),
             Self::Cylinder { radius, half_length } => nearest_on_cylinder(p, *radius, *half_length),
-            Self::Capsule(axis, radius) => around(axis.project_local_point(p, true).point, *radius),
         }
     }
 
@@ -64,7 +62,6 @@ impl CollisionPart {
             Self::Convex(s) => s.points().to_vec(),
             Self::Cuboid(s) => Mesh::cuboid(s.half_extents).vertices,
             Self::Cylinder { radius, half_length } => Mesh::cylinder(*radius, *half_length, 12).vertices,
-            Self::Capsule(axis, _) => vec![axis.a, axis.b],
         }
     }
 
@@ -72,7 +69,7 @@ impl CollisionPart {
     fn inner_ball(&self) -> Option<(DVec3, f64)> {
         let center = match self {
             Self::HalfSpace | Self::Mesh(_) => return None,
-            Self::Sphere(radius) | Self::Capsule(_, radius) => return Some((DVec3::ZERO, *radius)),
+            Self::Sphere(radius) => return Some((DVec3::ZERO, *radius)),
             Self::Convex(s) => s.points().iter().copied().sum::<DVec3>() / s.points().len() as f64,
             Self::Cuboid(_) | Self::Cylinder { .. } => DVec3::ZERO,
         };
@@ -93,7 +90,6 @@ impl CollisionPart {
             Self::Mesh(s) => around(s.vertices()),
             Self::Cuboid(s) => (DVec3::ZERO, s.half_extents.length()),
             Self::Cylinder { radius, half_length } => (DVec3::ZERO, radius.hypot(*half_length)),
-            Self::Capsule(axis, radius) => (DVec3::ZERO, axis.a.length() + radius),
         }
     }
 }
@@ -114,8 +110,7 @@ fn projected(p: parry3d_f64::query::PointProjection) -> (DVec3, bool) {
     (p.point, p.is_inside)
 }
 
-/// Distance of a world point from a body, metres; negative inside. A mesh has no inside. Infinite for a body without a
-/// usable shape.
+/// Distance of a world point from a body, metres; negative inside, but not of meshes; infinite without a usable shape.
 pub fn signed_distance(body: &Body, p_w: DVec3) -> f64 {
     let p = body.x_wb.inverse_transform_point(p_w);
     BodyGeometry::of_body(body)
@@ -128,10 +123,12 @@ pub(crate) struct BodyGeometry {
     /// Radius of the bounding sphere about the body's origin; infinite for a half space.
     pub(crate) bounding_radius: f64,
     /// Bounding box in the body's frame.
-    low: DVec3,
-    high: DVec3,
-    corners: Vec<DVec3>,
-    inner_balls: Vec<(DVec3, f64)>,
+    pub(crate) low: DVec3,
+    pub(crate) high: DVec3,
+    /// Corners of the convex parts, in the body's frame.
+    pub(crate) corners: Vec<DVec3>,
+    /// A ball inside each convex part: centre in the body's frame, and radius.
+    pub(crate) inner_balls: Vec<(DVec3, f64)>,
 }
 
 struct BoundedPart {
@@ -154,26 +151,6 @@ impl BodyGeometry {
         let (low, high) =
             (ends(-1.0).fold(DVec3::INFINITY, DVec3::min), ends(1.0).fold(DVec3::NEG_INFINITY, DVec3::max));
         Self { parts, bounding_radius, low, high, corners, inner_balls }
-    }
-
-    /// Lowest corner of the bounding box in the body's frame.
-    pub(crate) fn low(&self) -> DVec3 {
-        self.low
-    }
-
-    /// Highest corner of the bounding box.
-    pub(crate) fn high(&self) -> DVec3 {
-        self.high
-    }
-
-    /// Corners of the convex parts, in the body's frame.
-    pub(crate) fn corners(&self) -> &[DVec3] {
-        &self.corners
-    }
-
-    /// A ball inside each convex part: centre in the body's frame, and radius.
-    pub(crate) fn inner_balls(&self) -> &[(DVec3, f64)] {
-        &self.inner_balls
     }
 
     /// The parts that may come within `reach` of a point `p` of the body's frame.
@@ -210,13 +187,7 @@ impl BodyGeometry {
     }
 
     pub(crate) fn of_kinematic(shape: KinematicShape) -> Self {
-        Self::new(vec![match shape {
-            KinematicShape::Cuboid { half } => CollisionPart::Cuboid(Cuboid::new(half)),
-            KinematicShape::Capsule { half_length, radius } => {
-                let end = DVec3::new(0.0, 0.0, half_length);
-                CollisionPart::Capsule(Segment::new(-end, end), radius)
-            }
-        }])
+        Self::new(vec![CollisionPart::Cuboid(Cuboid::new(shape.half))])
     }
 }
 

@@ -3,32 +3,26 @@
 //!
 //! ```
 //! use glamx::{DPose3, DVec3};
-//! use sms_core::{MassProperties, Mesh, sphere_mass_properties};
+//! use sms_core::sphere_mass_properties;
 //! use sms_scene::{Body, BodyKind, BodyShape, Scene, example_material, floor_body};
 //! use sms_sim::{RapierFactory, Simulation, StrikerMotion, WorldOptions};
 //!
 //! let center_w = DVec3::new(0.5, 0.0, 0.03);
+//! let floor = floor_body(0.0, example_material());
 //! let ball = Body {
 //!     name: "cue".into(),
-//!     label: 1,
-//!     description: "cue ball".into(),
 //!     kind: BodyKind::Dynamic,
 //!     x_wb: DPose3::from_translation(center_w),
 //!     shape: BodyShape::Sphere { radius: 0.03 },
-//!     visual: Mesh::default(),
-//!     texture: None,
 //!     mass: Some(sphere_mass_properties(DVec3::ZERO, 0.03, 1700.0)?),
-//!     material: example_material(),
-//!     color: [250, 250, 240],
-//!     observed_share: 1.0,
-//!     fit_se_m: 0.0,
+//!     ..floor.clone()
 //! };
 //! let scene = Scene {
 //!     version: sms_scene::SCENE_VERSION,
 //!     name: "one ball".into(),
 //!     gravity_w: DVec3::new(0.0, 0.0, -9.81),
 //!     x_world_recording: DPose3::IDENTITY,
-//!     bodies: vec![floor_body(0.0, example_material()), ball],
+//!     bodies: vec![floor, ball],
 //! };
 //! let mut simulation = Simulation::new(&RapierFactory, &scene, &WorldOptions::default())?;
 //! let motion = StrikerMotion { contact_w: center_w, angle: 0.0, speed: 0.5, ball_radius: 0.03 };

@@ -6,21 +6,16 @@ use crate::{BodyId, BodyState};
 use glamx::{DPose3, DVec3};
 
 impl Simulation {
-    /// Largest penetration of a body into others except the robot, metres. It is 0 without penetration and for bodies
-    /// that do not move. The depth of a ball is exact, except against meshes: they have no inside, so the depth is the
-    /// radius minus the distance of the centre. For other bodies the depth is a lower bound, from the corners of both
-    /// bodies, and against meshes from a ball inside each convex part.
-    pub fn penetration(&self, body: BodyId) -> f64 {
-        self.deepest_at(body, &self.states).map_or(0.0, |deepest| deepest.1)
-    }
-
-    /// The body with the deepest penetration by `body`, and the depth, metres; `None` without penetration. As
-    /// [`Self::penetration`].
+    /// The body, other than the robot, with the deepest penetration by `body`, and the depth, metres. `None` without
+    /// penetration and for bodies that do not move. The depth of a ball is exact, except against meshes: they have no
+    /// inside, so the depth is the radius minus the distance of the centre. For other bodies the depth is a lower
+    /// bound, from the corners of both bodies, and against meshes from a ball inside each convex part.
     pub fn deepest(&self, body: BodyId) -> Option<(BodyId, f64)> {
         self.deepest_at(body, &self.states)
     }
 
-    /// The penetration with the bodies in other states, for example earlier ones. Bodies without a state are left out.
+    /// The largest depth ([`Self::deepest`]) with the bodies in other states, for example earlier ones; 0 without
+    /// penetration. Bodies without a state are left out.
     pub fn penetration_at(&self, body: BodyId, states: &[BodyState]) -> f64 {
         self.deepest_at(body, states).map_or(0.0, |deepest| deepest.1)
     }
@@ -71,16 +66,15 @@ fn ball_depth(p: DVec3, radius: f64, geometry: &BodyGeometry) -> f64 {
 /// Penetration of `a` into `b`; `x_ba` maps the frame of `a` to that of `b`.
 fn depth(a: &BodyGeometry, b: &BodyGeometry, x_ba: &DPose3) -> f64 {
     let mut deepest = 0.0f64;
-    let (low, high) = (b.low(), b.high());
-    for corner in a.corners() {
+    for corner in &a.corners {
         let p = x_ba.transform_point(*corner);
-        if p.cmplt(low).any() || p.cmpgt(high).any() {
+        if p.cmplt(b.low).any() || p.cmpgt(b.high).any() {
             continue;
         }
         let depths = b.parts_near(p, 0.0).filter(|part| part.is_convex()).map(|part| part.depth(p));
         deepest = depths.fold(deepest, f64::max);
     }
-    for (center, radius) in a.inner_balls() {
+    for (center, radius) in &a.inner_balls {
         let p = x_ba.transform_point(*center);
         for part in b.parts_near(p, *radius).filter(|part| !part.is_convex()) {
             deepest = deepest.max(radius - p.distance(part.nearest(p).0));

@@ -3,6 +3,7 @@
 use crate::arm::ArmInWorld;
 use crate::engine_arm::EngineArm;
 use crate::geometry::{BodyGeometry, CollisionPart};
+use crate::striker::RETRACTION_M;
 use crate::support::BallSupport;
 use crate::timing::TOUCH_GAP;
 use crate::{
@@ -114,8 +115,8 @@ impl By {
     fn duration_s(&self) -> f64 {
         match self {
             Self::Finger(motion) => motion.duration_s(),
-            Self::Arm(arm) => arm.duration_s(),
-            Self::EngineArm(arm) => arm.duration_s(),
+            Self::Arm(arm) => arm.drive.strike().duration_s(),
+            Self::EngineArm(arm) => arm.strike.duration_s(),
         }
     }
 }
@@ -202,11 +203,6 @@ impl Simulation {
         self.profile
     }
 
-    /// Number of bodies, strikers included.
-    pub fn body_count(&self) -> usize {
-        self.bodies.len()
-    }
-
     /// State of a body.
     ///
     /// # Panics
@@ -242,30 +238,26 @@ impl Simulation {
     pub fn strike(&mut self, striker: impl Into<Striker>, friction: f64, restitution: f64) -> BodyId {
         let (body, by, shape, state) = match striker.into() {
             Striker::Finger(motion) => {
-                let x_wk = motion.pose_at(0.0);
-                let body = self.world.add_kinematic(motion.shape(), x_wk, friction, restitution);
-                let state = BodyState { x_wb: x_wk, v_w: DVec3::ZERO, w_w: DVec3::ZERO };
-                (body, By::Finger(motion), motion.shape(), state)
+                let (shape, x_wb) = (motion.shape(), motion.pose_at(0.0));
+                let body = self.world.add_kinematic(shape, x_wb, friction, restitution);
+                let state = BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO };
+                (body, By::Finger(motion), shape, state)
             }
             Striker::Arm(strike) => {
+                let shape = KinematicShape { half: strike.half };
                 let own = (self.options.arm == ArmKind::Articulation)
                     .then(|| self.world.add_arm(&strike, friction, restitution));
                 if let Some(body) = own.flatten() {
                     let state = self.world.state(body);
-                    let arm = EngineArm::new(strike, state);
-                    let shape = arm.shape();
-                    return self.begin(body, By::EngineArm(Box::new(arm)), shape, state);
+                    (body, By::EngineArm(Box::new(EngineArm::new(strike, state))), shape, state)
+                } else {
+                    let arm = ArmInWorld::new(&strike);
+                    let state = arm.state;
+                    let body = self.world.add_tool(shape, state.x_wb, friction, restitution);
+                    (body, By::Arm(Box::new(arm)), shape, state)
                 }
-                let arm = ArmInWorld::new(&strike);
-                let (shape, state) = (arm.shape(), arm.state());
-                let body = self.world.add_tool(shape, state.x_wb, friction, restitution);
-                (body, By::Arm(Box::new(arm)), shape, state)
             }
         };
-        self.begin(body, by, shape, state)
-    }
-
-    fn begin(&mut self, body: BodyId, by: By, shape: KinematicShape, state: BodyState) -> BodyId {
         debug_assert_eq!(body, self.bodies.len(), "ids of the world and of the simulation agree");
         self.bodies.push(SimBody {
             geometry: BodyGeometry::of_kinematic(shape),
@@ -279,18 +271,17 @@ impl Simulation {
 
     /// The arm of a strike; `None` for a finger and for other bodies.
     pub fn arm(&self, body: BodyId) -> Option<&SweepDrive> {
-        self.arm_of(body).map(ArmInWorld::drive)
+        self.arm_of(body).map(|arm| &arm.drive)
     }
 
     /// Sum of the impulses that an arm has received, N·s; `None` for a finger and for other bodies.
     pub fn received_impulse_w(&self, body: BodyId) -> Option<DVec3> {
-        self.arm_of(body).map(ArmInWorld::impulse_w)
+        self.arm_of(body).map(|arm| arm.impulse_w)
     }
 
-    /// Energy that an arm has given to other bodies, J: each impulse times the mean of the tool's velocities before and
-    /// after it. `None` for a finger.
+    /// Energy given by an arm, J: each impulse times the mean of the tool's velocities around it. `None` for a finger.
     pub fn work_j(&self, body: BodyId) -> Option<f64> {
-        self.arm_of(body).map(ArmInWorld::work_j)
+        self.arm_of(body).map(|arm| arm.work_j)
     }
 
     /// States of all bodies, strikers included, by their ids.
@@ -330,12 +321,9 @@ impl Simulation {
     /// Restores the saved state and removes strikers added since; `false` if nothing was saved.
     pub fn restore(&mut self) -> bool {
         let Some(saved) = &self.saved else { return false };
-        let began = self.profile.map(|_| Instant::now());
+        let began = self.clock();
         if !self.world.restore() {
             return false;
-        }
-        if let (Some(profile), Some(began)) = (&mut self.profile, began) {
-            profile.restore_s += began.elapsed().as_secs_f64();
         }
         self.bodies.truncate(saved.states.len());
         self.states.clone_from(&saved.states);
@@ -345,6 +333,7 @@ impl Simulation {
         self.splits = saved.splits;
         self.contacts.clear();
         self.wrenches.clear();
+        self.add_time(began, |profile| &mut profile.restore_s);
         true
     }
 
@@ -365,23 +354,23 @@ impl Simulation {
 
     /// Steps to the requested time, or to an impact whose step extends beyond it.
     fn nominal_step(&mut self) -> Result<(), SimError> {
-        let began = self.profile.map(|_| Instant::now());
+        let began = self.clock();
         let supports = self.supports();
-        self.add_impact_time(began);
+        self.add_time(began, |profile| &mut profile.impacts_s);
         let mut splits = 0;
         loop {
             let left = self.time_s - self.world_s;
             if left < MIN_STEP_S {
                 return Ok(());
             }
-            let began = self.profile.map(|_| Instant::now());
+            let began = self.clock();
             let impact = if self.options.contact_timing && splits < MAX_SPLITS {
                 self.look_ahead(left);
                 self.next_impact(left, &supports)
             } else {
                 None
             };
-            self.add_impact_time(began);
+            self.add_time(began, |profile| &mut profile.impacts_s);
             let Some((impact, ball, other)) = impact else {
                 self.step(left, &supports)?;
                 // Avoids the accumulation of rounding errors.
@@ -412,15 +401,15 @@ impl Simulation {
         }
     }
 
-    fn add_striker_time(&mut self, began: Option<Instant>) {
-        if let (Some(profile), Some(began)) = (&mut self.profile, began) {
-            profile.striker_s += began.elapsed().as_secs_f64();
-        }
+    /// The current time, if the simulation is profiled.
+    fn clock(&self) -> Option<Instant> {
+        self.profile.map(|_| Instant::now())
     }
 
-    fn add_impact_time(&mut self, began: Option<Instant>) {
+    /// Adds the time since `began` to a part of the profile.
+    fn add_time(&mut self, began: Option<Instant>, part: fn(&mut SimulationProfile) -> &mut f64) {
         if let (Some(profile), Some(began)) = (&mut self.profile, began) {
-            profile.impacts_s += began.elapsed().as_secs_f64();
+            *part(profile) += began.elapsed().as_secs_f64();
         }
     }
 
@@ -431,8 +420,7 @@ impl Simulation {
         }
     }
 
-    /// Records the touches that the engine reports for the last step of `dt`. The states are still those before the
-    /// step.
+    /// Records the touches that the engine reports for the last step of `dt`; the states are those before the step.
     fn note_touches(&mut self, dt: f64) {
         let mut touches = std::mem::take(&mut self.touches);
         self.world.take_touches(&mut touches);
@@ -463,7 +451,7 @@ impl Simulation {
                 self.world.apply_wrench(body, DVec3::ZERO, torque_w, false);
             }
         }
-        let began = self.profile.map(|_| Instant::now());
+        let began = self.clock();
         for strike in self.strikes.iter_mut().filter(|s| !s.over) {
             let t = self.world_s + dt - strike.start_s;
             strike.over = t > strike.by.duration_s();
@@ -472,17 +460,17 @@ impl Simulation {
             }
             match &mut strike.by {
                 By::Finger(motion) => self.world.set_kinematic_target(strike.body, motion.pose_at(t)),
-                By::Arm(arm) if strike.over => arm.park(),
-                By::EngineArm(arm) if strike.over => arm.park(),
+                By::Arm(arm) if strike.over => park(&mut arm.state),
+                By::EngineArm(arm) if strike.over => park(&mut arm.state),
                 By::EngineArm(arm) => arm.before_step(self.world.as_mut(), strike.body, t - dt),
                 By::Arm(arm) => arm.before_step(self.world.as_mut(), strike.body, t, dt),
             }
         }
-        self.add_striker_time(began);
-        let began = self.profile.map(|_| Instant::now());
+        self.add_time(began, |profile| &mut profile.striker_s);
+        let began = self.clock();
         self.world.step(dt);
-        if let (Some(profile), Some(began)) = (&mut self.profile, began) {
-            profile.engine_s += began.elapsed().as_secs_f64();
+        self.add_time(began, |profile| &mut profile.engine_s);
+        if let Some(profile) = &mut self.profile {
             profile.steps += 1;
         }
         self.note_touches(dt);
@@ -491,20 +479,20 @@ impl Simulation {
     }
 
     fn refresh_states(&mut self, dt: f64) -> Result<(), SimError> {
-        let began = self.profile.map(|_| Instant::now());
+        let began = self.clock();
         for strike in &mut self.strikes {
             let t = self.world_s - strike.start_s;
             self.states[strike.body] = match &mut strike.by {
                 By::Finger(motion) => {
                     BodyState { x_wb: motion.pose_at(t), v_w: motion.velocity_at(t), w_w: DVec3::ZERO }
                 }
-                By::Arm(arm) if strike.over => arm.state(),
-                By::EngineArm(arm) if strike.over => arm.state(),
+                By::Arm(arm) if strike.over => arm.state,
+                By::EngineArm(arm) if strike.over => arm.state,
                 By::EngineArm(arm) => arm.after_step(self.world.as_ref(), strike.body),
                 By::Arm(arm) => arm.after_step(self.world.as_ref(), strike.body, dt),
             };
         }
-        self.add_striker_time(began);
+        self.add_time(began, |profile| &mut profile.striker_s);
         let mut failed = self.world.first_failed();
         for (body, state) in self.states.iter_mut().enumerate() {
             match self.bodies[body].kind {
@@ -535,6 +523,12 @@ impl Simulation {
             }),
         }
     }
+}
+
+/// Removes an arm from the world.
+fn park(state: &mut BodyState) {
+    state.x_wb.translation.z += RETRACTION_M;
+    (state.v_w, state.w_w) = (DVec3::ZERO, DVec3::ZERO);
 }
 
 /// The pair in ascending order.

@@ -70,7 +70,7 @@ impl StrikerMotion {
 
     /// The finger's shape.
     pub fn shape(&self) -> KinematicShape {
-        KinematicShape::Cuboid { half: FINGER_HALF }
+        KinematicShape { half: FINGER_HALF }
     }
 
     /// Time at which the front face reaches the contact position, seconds from the start.

@@ -39,8 +39,11 @@ pub fn tipping_load_n(
     p_w: DVec3,
     test: &LoadTest,
 ) -> Result<Option<f64>, SimError> {
-    let Some(id) = movable(scene, body) else { return Ok(None) };
-    let tips = |load_n: f64| tips(factory, scene, id, p_w, load_n, test);
+    let Some(load) = PointLoad::new(factory, scene, body, p_w) else { return Ok(None) };
+    let tips = |load_n: f64| -> Result<bool, SimError> {
+        let newtons_at = |t: f64| load_n * (t / test.grows_s).min(1.0);
+        Ok(load.sinking_n(test.grows_s + test.stays_s, test.sinks_m, newtons_at)?.is_some())
+    };
     if tips(0.0)? {
         return Ok(Some(0.0));
     }
@@ -91,57 +94,42 @@ pub fn ramp_load_n(
     p_w: DVec3,
     ramp: &LoadRamp,
 ) -> Result<Option<f64>, SimError> {
-    let Some(id) = movable(scene, body) else { return Ok(None) };
-    let load_at = |t: f64| ramp.rate_n_per_s * t;
-    let load = Load { body: id, p_w, seconds: ramp.most_n / ramp.rate_n_per_s, newtons_at: &load_at };
-    load.sinking_n(factory, scene, ramp.sinks_m)
-}
-
-/// The index of a movable body.
-fn movable(scene: &Scene, body: &str) -> Option<usize> {
-    scene.body_index(body).filter(|&i| scene.bodies[i].kind == BodyKind::Dynamic)
-}
-
-fn tips(
-    factory: &dyn WorldFactory,
-    scene: &Scene,
-    id: usize,
-    p_w: DVec3,
-    load_n: f64,
-    test: &LoadTest,
-) -> Result<bool, SimError> {
-    let load_at = |t: f64| load_n * (t / test.grows_s).min(1.0);
-    let load = Load { body: id, p_w, seconds: test.grows_s + test.stays_s, newtons_at: &load_at };
-    Ok(load.sinking_n(factory, scene, test.sinks_m)?.is_some())
+    let Some(load) = PointLoad::new(factory, scene, body, p_w) else { return Ok(None) };
+    load.sinking_n(ramp.most_n / ramp.rate_n_per_s, ramp.sinks_m, |t| ramp.rate_n_per_s * t)
 }
 
 /// A vertical load on a point of a body.
-struct Load<'a> {
+struct PointLoad<'a> {
+    factory: &'a dyn WorldFactory,
+    scene: &'a Scene,
     body: BodyId,
     /// The loaded point, metres in the world.
     p_w: DVec3,
-    /// Duration, seconds.
-    seconds: f64,
-    /// The downward force, newtons, as a function of time in seconds.
-    newtons_at: &'a dyn Fn(f64) -> f64,
 }
 
-impl Load<'_> {
-    /// Returns the force at which the point has sunk by `sinks_m`; `None` if it does not sink by as much.
+impl<'a> PointLoad<'a> {
+    /// `None` for a body that cannot move.
+    fn new(factory: &'a dyn WorldFactory, scene: &'a Scene, body: &str, p_w: DVec3) -> Option<Self> {
+        let body = scene.body_index(body).filter(|&i| scene.bodies[i].kind == BodyKind::Dynamic)?;
+        Some(Self { factory, scene, body, p_w })
+    }
+
+    /// Returns the force (newtons) at which the point has sunk by `sinks_m`; `None` if it does not sink by as much
+    /// within `seconds`. `newtons_at` is the downward force as a function of time in seconds.
     fn sinking_n(
         &self,
-        factory: &dyn WorldFactory,
-        scene: &Scene,
+        seconds: f64,
         sinks_m: f64,
+        newtons_at: impl Fn(f64) -> f64,
     ) -> Result<Option<f64>, SimError> {
         let options = WorldOptions { sleep: false, contact_timing: false, ..WorldOptions::default() };
-        let mut simulation = Simulation::new(factory, scene, &options)?;
-        let com_b = scene.bodies[self.body].mass.map_or(DVec3::ZERO, |m| m.com());
+        let mut simulation = Simulation::new(self.factory, self.scene, &options)?;
+        let com_b = self.scene.bodies[self.body].mass.map_or(DVec3::ZERO, |m| m.com());
         let p_b = simulation.state(self.body).x_wb.inverse() * self.p_w;
-        let steps = (self.seconds / options.dt).round() as usize;
+        let steps = (seconds / options.dt).round() as usize;
         for step in 0..steps {
             let now = simulation.state(self.body).x_wb;
-            let load_n = (self.newtons_at)((step + 1) as f64 * options.dt);
+            let load_n = newtons_at((step + 1) as f64 * options.dt);
             let force = DVec3::NEG_Z * load_n;
             simulation.apply_wrench(self.body, force, (now * p_b - now * com_b).cross(force));
             match simulation.advance(options.dt) {

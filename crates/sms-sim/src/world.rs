@@ -19,22 +19,11 @@ pub struct BodyState {
     pub w_w: DVec3,
 }
 
-/// Shape of a kinematic body in its own frame.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "type", rename_all = "snake_case")]
-pub enum KinematicShape {
-    /// A box with these half extents, metres.
-    Cuboid {
-        /// Half extents.
-        half: DVec3,
-    },
-    /// A capsule along z, metres.
-    Capsule {
-        /// Half of the distance between the cap centres.
-        half_length: f64,
-        /// Radius.
-        radius: f64,
-    },
+/// Shape of a kinematic body in its own frame: a box about the origin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KinematicShape {
+    /// Half extents, metres.
+    pub half: DVec3,
 }
 
 /// Selects who simulates the joints of the arm.
@@ -190,8 +179,6 @@ pub trait World: Send {
     fn engine(&self) -> &'static str;
     /// Advances by `dt` seconds (any positive value up to the nominal step); applied wrenches act for this step only.
     fn step(&mut self, dt: f64);
-    /// Number of bodies.
-    fn body_count(&self) -> usize;
     /// State of a body.
     fn state(&self, body: BodyId) -> BodyState;
     /// Sets the state of a body and wakes it.
@@ -238,8 +225,7 @@ pub trait World: Send {
     fn save(&mut self) -> bool;
     /// Restores the saved state and removes kinematic bodies added since; `false` if none was saved.
     fn restore(&mut self) -> bool;
-    /// Returns a body that the engine removed in the last step because its state was not finite, for engines that
-    /// remove such bodies.
+    /// A body that the engine removed in the last step because its state was not finite, if the engine does so.
     fn first_failed(&self) -> Option<BodyId> {
         None
     }
@@ -261,8 +247,7 @@ pub trait WorldFactory: Sync {
     /// [`SimError::Body`] when a body's shape or mass cannot be simulated.
     fn build(&self, scene: &Scene, options: &WorldOptions) -> Result<Box<dyn World>, SimError>;
 
-    /// Returns whether [`WorldOptions::contact_timing`] has an effect: `false` for an engine that is to be studied with
-    /// whole steps.
+    /// Whether [`WorldOptions::contact_timing`] has an effect: `false` to study an engine with whole steps.
     fn splits_steps(&self) -> bool {
         true
     }

@@ -70,10 +70,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         if k >= warm {
             forces.push(-wrench[0].force_w.z / carried);
             torque += wrench[0].torque_w.y / carried / steps as f64;
-            particles += wash.particle_count();
+            particles += wash.particles().count();
             for (_, v) in wash.particles() {
                 fastest = fastest.max(v.iter().map(|c| c * c).sum::<f32>().sqrt());
-                rising += f64::from(v[2].max(0.0)) / wash.particle_count() as f64 / steps as f64;
+                rising += f64::from(v[2].max(0.0)) / wash.particles().count() as f64 / steps as f64;
             }
         }
     }

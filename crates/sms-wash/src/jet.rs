@@ -45,16 +45,18 @@ impl RoundJet {
         let speed = (self.momentum_flux / (self.air_density * PI * slope)).sqrt();
         ((both * inner).sqrt(), speed)
     }
-
-    /// Mean speed on the axis at distance `z`, m/s.
-    pub fn centerline_speed(&self, z: f64) -> f64 {
-        self.stream(0.0, z).1
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    impl RoundJet {
+        /// Mean speed on the axis at distance `z`, m/s.
+        fn centerline_speed(&self, z: f64) -> f64 {
+            self.stream(0.0, z).1
+        }
+    }
 
     fn jet() -> RoundJet {
         RoundJet { momentum_flux: 2.898_855, exit_radius: 0.0685 / 2f64.sqrt(), air_density: 1.225 }

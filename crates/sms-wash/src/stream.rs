@@ -2,6 +2,7 @@
 //! transfers its momentum to the first surface on its way.
 
 use crate::jet::RoundJet;
+use crate::surface::is_apart;
 use crate::wash::Stream;
 use crate::{BodyMotion, BodySurface, Emission, Emitted, VehicleState, Wash, WashError, Wrench};
 use glamx::{DPose3, DVec3};
@@ -59,8 +60,7 @@ pub struct StreamWash {
     settings: StreamSettings,
     surfaces: Vec<BodySurface>,
     active: bool,
-    /// Cosine and sine of the angle of each flow line, ring by ring. Rings are rotated against each other, so that an
-    /// edge crosses lines one by one.
+    /// Cosine and sine of each flow line's angle. Rings are rotated, so that an edge crosses lines one by one.
     turns: Vec<(f64, f64)>,
     /// One profile per propeller, reused while thrusts are constant.
     profiles: Vec<StreamProfile>,
@@ -252,8 +252,7 @@ impl StreamWash {
             let mut first: Option<(usize, f64, DVec3)> = None;
             let (low, high) = (from_w.min(to_w), from_w.max(to_w));
             for &b in near {
-                let is_apart = |around: &Aabb| around.min.cmpgt(high).any() || around.max.cmplt(low).any();
-                if boxes_w[b].as_ref().is_some_and(is_apart) {
+                if boxes_w[b].is_some_and(|around| is_apart(&around, low, high)) {
                     continue;
                 }
                 let limit = first.map_or(length, |f| f.1);

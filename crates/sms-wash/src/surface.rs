@@ -41,6 +41,17 @@ pub struct SurfaceHit {
     pub normal: DVec3,
 }
 
+/// Contact of a moving point with a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct SurfaceContact {
+    /// Time, seconds.
+    pub(crate) time: f64,
+    /// Outward normal in the body's frame.
+    pub(crate) normal: DVec3,
+    /// Penetration depth at the start, metres.
+    pub(crate) depth: f64,
+}
+
 impl ConvexPart {
     fn from_mesh(part: usize, mesh: &Mesh) -> Result<Self, WashError> {
         let refuse = |why: &str| WashError::Part { part, why: why.to_owned() };
@@ -111,32 +122,7 @@ impl ConvexPart {
         }
         Some(SurfaceHit { distance: enter.max(0.0), normal })
     }
-}
 
-/// Moves the planes that face most along each axis, in both directions, to the front.
-fn foremost_first(planes: &mut [HalfSpacePlane]) {
-    for (done, way) in
-        [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z].into_iter().enumerate()
-    {
-        let facing = |i: &usize| planes[*i].normal.dot(way);
-        if let Some(best) = (done..planes.len()).max_by(|a, b| facing(a).total_cmp(&facing(b))) {
-            planes.swap(done, best);
-        }
-    }
-}
-
-/// Contact of a moving point with a surface.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct SurfaceContact {
-    /// Time, seconds.
-    pub(crate) time: f64,
-    /// Outward normal in the body's frame.
-    pub(crate) normal: DVec3,
-    /// Penetration depth at the start, metres.
-    pub(crate) depth: f64,
-}
-
-impl ConvexPart {
     /// Returns the time at which a point comes within `offset` of the planes; `None` for a point inside that moves
     /// outwards or along a face.
     fn sweep(&self, p: DVec3, v: DVec3, duration: f64, offset: f64) -> Option<SurfaceContact> {
@@ -171,6 +157,18 @@ impl ConvexPart {
             return (nearest_rate < -1e-6 * v.length()).then_some(hit);
         }
         (enter <= leave).then_some(SurfaceContact { time: enter, normal, depth: 0.0 })
+    }
+}
+
+/// Moves the planes that face most along each axis, in both directions, to the front.
+fn foremost_first(planes: &mut [HalfSpacePlane]) {
+    for (done, way) in
+        [DVec3::X, DVec3::NEG_X, DVec3::Y, DVec3::NEG_Y, DVec3::Z, DVec3::NEG_Z].into_iter().enumerate()
+    {
+        let facing = |i: &usize| planes[*i].normal.dot(way);
+        if let Some(best) = (done..planes.len()).max_by(|a, b| facing(a).total_cmp(&facing(b))) {
+            planes.swap(done, best);
+        }
     }
 }
 
@@ -222,6 +220,14 @@ impl DistanceGrid {
     }
 }
 
+/// Returns whether a box does not meet the box from `low` to `high`.
+#[inline]
+pub(crate) fn is_apart(around: &Aabb, low: DVec3, high: DVec3) -> bool {
+    around.min.cmpgt(high).any() || around.max.cmplt(low).any()
+}
+
+/// Signed distance of a point from the nearest part, and the normal of the nearest face. Exact inside each part and in
+/// front of its faces, a lower bound beyond its edges: the zero set has sharp edges.
 fn nearest(parts: &[ConvexPart], p: DVec3) -> SurfaceHit {
     let mut best = SurfaceHit { distance: f64::INFINITY, normal: DVec3::Z };
     for part in parts {
@@ -306,12 +312,6 @@ impl BodySurface {
         }
     }
 
-    /// Signed distance of a point of `B` from the surface, and the normal of the nearest face. Exact inside each part
-    /// and in front of its faces, a lower bound beyond its edges: the zero set has sharp edges.
-    pub fn distance(&self, p_b: DVec3) -> SurfaceHit {
-        nearest(&self.parts, p_b)
-    }
-
     /// Returns the time at which a point at `p_b` with velocity `v_b` first comes within `offset` of the surface while
     /// not moving away. Thin parts are not missed.
     pub(crate) fn sweep(&self, p_b: DVec3, v_b: DVec3, duration: f64, offset: f64) -> Option<SurfaceContact> {
@@ -320,7 +320,7 @@ impl BodySurface {
         let (low, high) = (p_b.min(end_b) - 4.0 * offset, p_b.max(end_b) + 4.0 * offset);
         let mut best: Option<SurfaceContact> = None;
         for part in &self.parts {
-            if part.bounds.min.cmpgt(high).any() || part.bounds.max.cmplt(low).any() {
+            if is_apart(&part.bounds, low, high) {
                 continue;
             }
             let limit = best.map_or(duration, |b| b.time);
@@ -349,7 +349,7 @@ impl BodySurface {
         let (low, high) = (origin_b.min(end_b), origin_b.max(end_b));
         let mut best: Option<SurfaceHit> = None;
         for part in &self.parts {
-            if part.bounds.min.cmpgt(high).any() || part.bounds.max.cmplt(low).any() {
+            if is_apart(&part.bounds, low, high) {
                 continue;
             }
             let limit = best.map_or(reach, |b| b.distance);
@@ -373,7 +373,7 @@ mod tests {
     #[test]
     fn distances_of_a_box_are_exact_before_its_faces_and_inside() {
         let body = plank();
-        let at = |x: f64, y: f64, z: f64| body.distance(DVec3::new(x, y, z));
+        let at = |x: f64, y: f64, z: f64| nearest(&body.parts, DVec3::new(x, y, z));
         assert!((at(0.0, 0.0, 0.05).distance - 0.04).abs() < 1e-12);
         assert_eq!(at(0.0, 0.0, 0.05).normal, DVec3::Z);
         assert!((at(0.0, 0.0, 0.004).distance + 0.006).abs() < 1e-12);
@@ -388,7 +388,7 @@ mod tests {
         for i in 0..4000u32 {
             let f = |k: f64| (f64::from(i) * k).fract() - 0.5;
             let p = DVec3::new(1.6 * f(0.618_034), 1.0 * f(0.414_214), 1.4 * f(0.732_051) - 0.2);
-            let (bound, exact) = (body.distance_at_least(p), body.distance(p).distance);
+            let (bound, exact) = (body.distance_at_least(p), nearest(&body.parts, p).distance);
             // Beyond the grid the bound is the distance to it, which is at most the Euclidean distance.
             assert!(bound <= exact.max(0.0) + 1e-9 || bound <= exact + 1e-6, "{p}: {bound} {exact}");
             useful += usize::from(exact > 0.15 && bound > 0.02);

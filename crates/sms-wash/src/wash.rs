@@ -99,8 +99,7 @@ pub trait Wash: Send {
     /// When the number of `bodies` or `wrenches` differs from that of the surfaces, or thrusts from propellers.
     fn step(&mut self, dt: f64, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]);
 
-    /// Returns whether air is moving near the structure. If not, wrenches are zero until the vehicle's wash reaches the
-    /// structure.
+    /// Whether air moves near the structure. If not, wrenches are zero until the vehicle's wash reaches the structure.
     fn is_active(&self) -> bool;
 
     /// Saves the state of the air for [`Wash::restore`].

@@ -1,13 +1,13 @@
 //! Settings of the experiment.
 
-use super::Row;
+use super::{GridBaseline, Row};
 use crate::{MaterialPrior, MaterializeOptions};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sms_core::{Hash, Seed, hash_serializable};
 use sms_entities::{EntitiesConfig, MeshRule, PrimitiveConfig, TextureConfig};
 use sms_mesh::ConvexConfig;
-use sms_plan::{GridBaseline, Perturbation, PlanConfig};
+use sms_plan::{Perturbation, PlanConfig};
 use sms_synth::FixedScene;
 use sms_target::TargetEngine;
 use sms_vlm::Client;

@@ -1,11 +1,11 @@
 //! Planning with the arm: strikes that the arm cannot execute are counted and never chosen.
 
 use crate::common::{ball, material, two_balls};
+use crate::rehearsal::rehearse;
 use sms_core::glamx::{DPose3, DQuat, DVec3};
 use sms_core::{Cancel, Mesh, NoProgress, Seed, StageContext, Warnings};
 use sms_plan::{
-    Halton, Method, Perturbation, PlanConfig, PlanError, PlanOutcome, TrialPhase, WorldFamily, plan,
-    rehearse, search_nominal,
+    Halton, Method, Perturbation, PlanConfig, PlanError, PlanOutcome, TrialPhase, plan, search_nominal,
 };
 use sms_robots::{RobotConfig, ToolPath};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
@@ -114,21 +114,7 @@ fn refused_strikes_are_counted_and_never_chosen() {
         panic!("both are arms")
     };
     assert_eq!((&a.q_start, a.sweep, a.rotation_w), (&b.q_start, b.sweep, b.rotation_w));
-    let worlds = Perturbation::default();
-    let cancel = Cancel::new();
-    let values = rehearse(
-        WorldFamily {
-            task: &task,
-            scene: &scene,
-            factory: &RapierFactory,
-            perturbation: &worlds,
-            seed: Seed(1),
-        },
-        &p.action,
-        4,
-        &cancel,
-    )
-    .unwrap();
+    let values = rehearse(&task, &scene, &Perturbation::default(), Seed(1), &p.action, 4);
     assert!(values.iter().all(|v| v.is_finite()), "{values:?}");
 }
 

@@ -4,6 +4,6 @@ mod arm;
 // Fixture shared with the tests of tasks.
 #[path = "../../../sms-task/tests/it/common.rs"]
 mod common;
-mod grid;
 mod nelder_mead;
 mod planning;
+mod rehearsal;

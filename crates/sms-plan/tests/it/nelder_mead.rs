@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 use serde_json::Value;
-use sms_plan::{BoxBounds, NelderMead, Optimiser};
+use sms_plan::{BoxBounds, LocalSearch, Minimum, NelderMead, SimplexSearch};
 
 fn function(name: &str) -> fn(&[f64]) -> f64 {
     match name {
@@ -34,6 +34,32 @@ fn floats(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
 }
 
+/// SciPy's first simplex around a point: each coordinate 5 % larger in turn (0.00025 where it is zero).
+fn scipy_simplex(x0: &[f64]) -> Vec<Vec<f64>> {
+    let mut simplex = vec![x0.to_vec()];
+    for k in 0..x0.len() {
+        let mut x = x0.to_vec();
+        x[k] = if x[k] != 0.0 { 1.05 * x[k] } else { 0.00025 };
+        simplex.push(x);
+    }
+    simplex
+}
+
+/// Searches until the objective returns `None` or the search ends.
+fn minimise(
+    settings: &NelderMead,
+    start: &[Vec<f64>],
+    steps: &[f64],
+    mut objective: impl FnMut(&[f64]) -> Option<f64>,
+) -> Minimum {
+    let mut search = LocalSearch::new(settings, start, steps, None);
+    while let Some(x) = search.next_point() {
+        let Some(f) = objective(x) else { break };
+        search.tell(f);
+    }
+    search.minimum()
+}
+
 #[test]
 fn visits_the_same_points_as_scipy() {
     let table: Value = serde_json::from_str(include_str!("../oracle/nelder_mead.json")).unwrap();
@@ -58,25 +84,24 @@ fn visits_the_same_points_as_scipy() {
         };
         let mut path: Vec<Vec<f64>> = Vec::new();
         let mut best = Vec::new();
-        let found = settings.descend(
-            NelderMead::scipy_simplex(&floats(&case["x0"])),
-            bounds.as_ref(),
-            &mut |x| {
-                let value = f(x);
-                path.push(x.iter().copied().chain([value]).collect());
-                Some(value)
-            },
-            &mut |_, value| best.push(value),
-        );
+        let mut search = SimplexSearch::new(&settings, scipy_simplex(&floats(&case["x0"])), bounds);
+        while let Some(x) = search.next_point() {
+            let value = f(x);
+            path.push(x.iter().copied().chain([value]).collect());
+            if search.tell(value) {
+                best.push(search.best().1);
+            }
+        }
+        let (x, objective) = search.best();
         let what = format!("{} from {} bounds {}", case["function"], case["x0"], case["bounds"]);
         for (ours, scipy) in path.iter().step_by(10).zip(case["path"].as_array().unwrap()) {
             assert_eq!(ours, &floats(scipy), "{what}");
         }
-        assert_eq!(found.evaluations, case["evaluations"].as_u64().unwrap() as usize, "{what}");
-        assert_eq!(found.evaluations, path.len(), "{what}");
-        assert_eq!(found.iterations + 1, case["nit"].as_u64().unwrap() as usize, "{what}");
-        assert_eq!(found.x, floats(&case["x"]), "{what}");
-        assert_eq!(found.objective, case["f"].as_f64().unwrap(), "{what}");
+        assert_eq!(search.evaluations(), case["evaluations"].as_u64().unwrap() as usize, "{what}");
+        assert_eq!(search.evaluations(), path.len(), "{what}");
+        assert_eq!(search.iterations() + 1, case["nit"].as_u64().unwrap() as usize, "{what}");
+        assert_eq!(x, floats(&case["x"]), "{what}");
+        assert_eq!(objective, case["f"].as_f64().unwrap(), "{what}");
         let best: Vec<f64> = best.into_iter().step_by(10).collect();
         assert_eq!(best, floats(&case["best"]), "{what}");
     }
@@ -88,8 +113,8 @@ fn a_restart_frees_a_simplex_that_collapsed_onto_a_bound() {
     let valley = |x: &[f64]| Some(5.0 * x[0] + (x[1] - 0.8).abs() + 0.2 * (x[0] - x[1] + 0.8).abs());
     let start = [vec![0.02, 0.1]];
     let settings = NelderMead { max_iterations: 400, ..NelderMead::default() };
-    let once = NelderMead { restarts: 0, ..settings }.minimise(&start, &[0.1, 0.1], &mut { valley });
-    let thrice = NelderMead { restarts: 3, ..settings }.minimise(&start, &[0.1, 0.1], &mut { valley });
+    let once = minimise(&NelderMead { restarts: 0, ..settings }, &start, &[0.1, 0.1], valley);
+    let thrice = minimise(&NelderMead { restarts: 3, ..settings }, &start, &[0.1, 0.1], valley);
     assert!(thrice.objective <= once.objective);
     assert!(thrice.objective < 1e-2, "{thrice:?}");
 }
@@ -99,7 +124,7 @@ fn a_stop_keeps_the_best_point_so_far() {
     let bowl = |x: &[f64]| (x[0] - 0.3) * (x[0] - 0.3) + (x[1] - 0.6) * (x[1] - 0.6);
     for budget in 1..40 {
         let (mut used, mut best) = (0, f64::INFINITY);
-        let found = NelderMead::default().minimise(&[vec![0.9, 0.9]], &[0.1, 0.1], &mut |x| {
+        let found = minimise(&NelderMead::default(), &[vec![0.9, 0.9]], &[0.1, 0.1], |x| {
             if used == budget {
                 return None;
             }
@@ -116,7 +141,7 @@ fn a_stop_keeps_the_best_point_so_far() {
 #[test]
 fn values_that_are_not_numbers_are_avoided() {
     let holed = |x: &[f64]| Some(if x[0] > 0.5 { f64::NAN } else { (x[0] - 0.45).abs() + x[1] });
-    let found = NelderMead::default().minimise(&[vec![0.2, 0.5]], &[0.2, 0.2], &mut { holed });
+    let found = minimise(&NelderMead::default(), &[vec![0.2, 0.5]], &[0.2, 0.2], holed);
     assert!(found.objective < 0.02, "{found:?}");
 }
 
@@ -133,7 +158,7 @@ proptest! {
         let first = f(&start);
         let steps = vec![step; start.len()];
         let settings = NelderMead { adaptive, restarts: 2, ..NelderMead::default() };
-        let found = settings.minimise(std::slice::from_ref(&start), &steps, &mut |x| {
+        let found = minimise(&settings, std::slice::from_ref(&start), &steps, |x| {
             outside += x.iter().filter(|v| !(0.0..=1.0).contains(*v)).count();
             Some(f(x))
         });

@@ -1,15 +1,18 @@
 //! Planning on a table with known geometric solutions.
 
 use crate::common::{RADIUS, material, two_balls};
+use crate::rehearsal::rehearse;
 use sms_core::glamx::{DPose3, DVec2, DVec3};
+use sms_core::table::{Column, read_table};
 use sms_core::{Cancel, CoreError, NoProgress, Seed, StageContext, Warnings};
 use sms_plan::{
-    Method, NelderMead, Perturbation, PlanConfig, PlanError, PlanOutcome, Unknown, WorldFamily, load_plan,
-    plan, read_trials, rehearse, save_plan,
+    Method, NelderMead, Perturbation, PlanConfig, PlanError, PlanOutcome, Trial, Unknown, load_plan, plan,
+    save_plan,
 };
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::RapierFactory;
-use sms_task::{ActionForm, Billiards, ResolvedTask, Selector, Task};
+use sms_task::{Action, ActionForm, Billiards, ResolvedTask, Selector, Task};
+use std::path::Path;
 
 fn config() -> PlanConfig {
     PlanConfig {
@@ -98,6 +101,28 @@ fn the_same_bytes_with_one_and_two_threads_and_they_read_back() {
     }
 }
 
+/// Reads `trials.parquet`.
+fn read_trials(path: &Path) -> Vec<Trial> {
+    let (mut phases, mut starts, mut iterations) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut parameters, mut objectives) = (Vec::new(), Vec::new());
+    for (name, column) in read_table(path).unwrap() {
+        match (name.as_str(), column) {
+            ("phase", Column::Text(v)) => phases = v,
+            ("start", Column::I32(v)) => starts = v,
+            ("iteration", Column::I32(v)) => iterations = v,
+            ("objective", Column::F64(v)) => objectives = v,
+            (_, Column::F64(v)) => parameters.push(v),
+            (name, _) => assert_eq!(name, "valid"),
+        }
+    }
+    let trial = |i: usize| {
+        let phase = serde_json::from_value(phases[i].as_str().into()).unwrap();
+        let action = Action(parameters.iter().map(|column| column[i]).collect());
+        Trial::new(phase, starts[i], iterations[i], action, objectives[i])
+    };
+    (0..phases.len()).map(trial).collect()
+}
+
 fn the_same_bytes(method: Method) {
     let dir = tempfile::tempdir().unwrap();
     let task = task(DVec2::new(0.8, 0.06), ActionForm::SpeedAngleContact);
@@ -111,7 +136,7 @@ fn the_same_bytes(method: Method) {
         let folder = dir.path().join(threads.to_string());
         save_plan(&folder, &outcome).unwrap();
         assert_eq!(load_plan(&folder).unwrap(), outcome.plan);
-        assert_eq!(read_trials(&folder.join("trials.parquet")).unwrap(), outcome.trials);
+        assert_eq!(read_trials(&folder.join("trials.parquet")), outcome.trials);
         // All rollouts are logged except the last one, which is the recorded motion.
         assert_eq!(outcome.trials.len() + 1, outcome.plan.evaluations);
         assert_eq!(outcome.metrics().number("plan.objective"), Some(outcome.plan.objective));
@@ -362,13 +387,7 @@ fn in_its_worlds_the_choice_beats_the_nominally_best_shot() {
         )
         .unwrap();
         let seed = Seed(11).derive("disturbed");
-        let values = rehearse(
-            WorldFamily { task: &task, scene: &scene, factory: &factory, perturbation: &wide, seed },
-            &found.plan.action,
-            24,
-            &cancel,
-        )
-        .unwrap();
+        let values = rehearse(&task, &scene, &wide, seed, &found.plan.action, 24);
         values.iter().sum::<f64>() / values.len() as f64
     };
     let (robust, nominal) = (mean(&robust), mean(&nominal));

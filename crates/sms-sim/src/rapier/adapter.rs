@@ -6,6 +6,7 @@
 
 use super::engine::math::{Pose, Real, Rotation, Vector};
 use super::engine::prelude::*;
+use super::face::{from_engine, to_engine};
 use super::hull::StableHull;
 use crate::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
 use glamx::{DPose3, DQuat, DVec3};
@@ -18,8 +19,7 @@ use std::sync::Mutex;
 const LENGTH_UNIT: f64 = 1e-3;
 /// Largest speed of a body, m/s. Rapier scales its limit with the length unit, so its default would be 0.4 m/s.
 const MAX_SPEED: f64 = 400.0;
-/// Largest speed at which overlapping bodies are pushed apart, m/s. Reconstructed bodies may overlap by a millimetre at
-/// the start and must not be thrown apart.
+/// Largest speed at which overlapping bodies are pushed apart, m/s. Reconstructed bodies may overlap by a millimetre.
 const MAX_PUSH_OUT_SPEED: f64 = 0.1;
 /// Contacts are reused while the relative motion since their determination is below this, metres.
 const RECYCLE_DISTANCE: f64 = 2e-4;
@@ -250,16 +250,8 @@ impl RapierWorld {
         restitution: f64,
     ) -> BodyId {
         let handle = self.physics.insert_body(builder);
-        let collider = match shape {
-            KinematicShape::Cuboid { half } => {
-                ColliderBuilder::cuboid(half.x as Real, half.y as Real, half.z as Real)
-            }
-            KinematicShape::Capsule { half_length, radius } => {
-                ColliderBuilder::capsule_z(half_length as Real, radius as Real)
-            }
-        };
         let body = self.bodies.len();
-        let collider = with_material(collider, friction, restitution)
+        let collider = with_material(cuboid(shape.half), friction, restitution)
             .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS)
             .user_data(body as u128);
         self.physics.insert_collider(collider, Some(handle));
@@ -296,10 +288,6 @@ impl World for RapierWorld {
             body.reset_forces(false);
             body.reset_torques(false);
         }
-    }
-
-    fn body_count(&self) -> usize {
-        self.bodies.len()
     }
 
     fn state(&self, body: BodyId) -> BodyState {
@@ -455,9 +443,7 @@ fn with_material(collider: ColliderBuilder, friction: f64, restitution: f64) -> 
 fn colliders(shape: &BodyShape) -> Result<Vec<ColliderBuilder>, String> {
     match shape {
         BodyShape::Sphere { radius } => Ok(vec![ColliderBuilder::ball(*radius as Real)]),
-        BodyShape::Box { half_extents: h } => {
-            Ok(vec![ColliderBuilder::cuboid(h.x as Real, h.y as Real, h.z as Real)])
-        }
+        BodyShape::Box { half_extents } => Ok(vec![cuboid(*half_extents)]),
         BodyShape::Cylinder { radius, half_length } => {
             // Rapier's cylinders are along y.
             let upright = DQuat::from_rotation_arc(DVec3::Y, DVec3::Z);
@@ -479,6 +465,10 @@ fn colliders(shape: &BodyShape) -> Result<Vec<ColliderBuilder>, String> {
     }
 }
 
+fn cuboid(half: DVec3) -> ColliderBuilder {
+    ColliderBuilder::cuboid(half.x as Real, half.y as Real, half.z as Real)
+}
+
 fn hull((index, mesh): (usize, &Mesh)) -> Result<ColliderBuilder, String> {
     Some(vertices(mesh))
         .filter(|v| v.len() >= 4)
@@ -491,8 +481,7 @@ fn vertices(mesh: &Mesh) -> Vec<Vector> {
     mesh.vertices.iter().map(|&v| to_engine(v)).collect()
 }
 
-/// Diagonalized in double precision: in single precision the inertia of a small body, 1e-6 kg·m², is below the
-/// tolerances of the decomposition.
+/// Diagonalized in double precision: the decomposition's tolerances in single precision exceed small inertias (1e-6).
 fn mass_properties(mass: &sms_core::MassProperties) -> MassProperties {
     let (moments, axes) = mass.principal();
     MassProperties::with_principal_inertia_frame(
@@ -501,14 +490,6 @@ fn mass_properties(mass: &sms_core::MassProperties) -> MassProperties {
         to_engine(moments),
         rotation_to_engine(&axes),
     )
-}
-
-fn to_engine(v: DVec3) -> Vector {
-    Vector::new(v.x as Real, v.y as Real, v.z as Real)
-}
-
-fn from_engine(v: Vector) -> DVec3 {
-    DVec3::new(v.x as f64, v.y as f64, v.z as f64)
 }
 
 fn rotation_to_engine(q: &DQuat) -> Rotation {

@@ -27,7 +27,7 @@ impl FacePlane {
     }
 }
 
-fn to_double(v: Vector) -> DVec3 {
+pub(super) fn from_engine(v: Vector) -> DVec3 {
     DVec3::new(v.x as f64, v.y as f64, v.z as f64)
 }
 
@@ -41,7 +41,7 @@ pub(super) fn to_engine(v: DVec3) -> Vector {
 /// belongs to the face of a larger one if and only if it lies in its plane, regardless of its own rounded normal.
 pub(super) fn planes(vertices: &[Vector], triangles: &[[u32; 3]]) -> (Vec<FacePlane>, Vec<Option<usize>>) {
     let corners: Vec<[DVec3; 3]> =
-        triangles.iter().map(|t| t.map(|k| to_double(vertices[k as usize]))).collect();
+        triangles.iter().map(|t| t.map(|k| from_engine(vertices[k as usize]))).collect();
     let areas: Vec<DVec3> = corners.iter().map(|[a, b, c]| (b - a).cross(c - a)).collect();
     let mut order: Vec<usize> = (0..corners.len()).collect();
     order.sort_by(|&a, &b| areas[b].length_squared().total_cmp(&areas[a].length_squared()).then(a.cmp(&b)));
@@ -116,7 +116,7 @@ impl HullFace {
 
 /// Describes a face by the vertices in its plane, projected onto the plane.
 pub(super) fn describe(vertices: &[Vector], id: u32, plane: &FacePlane) -> HullFace {
-    let points = (0u32..).zip(vertices).map(|(k, p)| (k, to_double(*p)));
+    let points = (0u32..).zip(vertices).map(|(k, p)| (k, from_engine(*p)));
     let in_plane = points.filter(|(_, p)| plane.height(*p).abs() <= FLAT);
     let mut corners: Vec<(u32, DVec3)> =
         in_plane.map(|(k, p)| (k, p - plane.normal * plane.height(p))).collect();

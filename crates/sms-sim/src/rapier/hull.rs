@@ -86,9 +86,7 @@ impl StableHull {
             None => (highest.2, highest.1, true),
         }
     }
-}
 
-impl StableHull {
     fn face_toward(&self, dir: Vector) -> usize {
         let (mut best, mut most) = (0, self.normals[0].dot(dir));
         for (k, normal) in self.normals.iter().enumerate().skip(1) {

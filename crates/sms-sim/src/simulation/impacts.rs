@@ -7,8 +7,7 @@ use crate::support::BallSupport;
 use crate::timing::{Impact, MIN_CLOSING_SPEED, TOUCH_GAP, time_of_impact};
 use glamx::DVec3;
 
-/// The tool's acceleration is computed if its distance from a ball, minus the travel of both in a step, is below this,
-/// metres.
+/// Distance of the tool from a ball, minus their travel in a step, below which its acceleration is computed, metres.
 const LOOK_AHEAD_M: f64 = 1e-3;
 
 impl Simulation {
@@ -64,18 +63,14 @@ impl Simulation {
 
     fn path(&self, body: BodyId, supports: &[BallSupport]) -> Path<'_> {
         if let Some(strike) = self.strikes.iter().find(|s| s.body == body) {
-            match &strike.by {
+            let acceleration_w = match &strike.by {
                 By::Finger(motion) => {
                     return Path::Sweep { motion, start_s: self.world_s - strike.start_s };
                 }
-                By::EngineArm(_) => {
-                    return Path::Free { state: &self.states[body], acceleration_w: DVec3::ZERO };
-                }
-                By::Arm(arm) => {
-                    let acceleration_w = arm.acceleration_w();
-                    return Path::Free { state: &self.states[body], acceleration_w };
-                }
-            }
+                By::EngineArm(_) => DVec3::ZERO,
+                By::Arm(arm) => arm.acceleration_w,
+            };
+            return Path::Free { state: &self.states[body], acceleration_w };
         }
         let is_flying = matches!(self.bodies[body].kind, Kind::Ball { .. })
             && !supports[body].touching
@@ -84,8 +79,7 @@ impl Simulation {
         Path::Free { state: &self.states[body], acceleration_w }
     }
 
-    /// Upper bound of the approach of a ball to a point of another body within `horizon` seconds, metres; `None` if the
-    /// pair is skipped.
+    /// Upper bound of the approach of a ball to a point of another body within `horizon` s, metres; `None`: skip the pair.
     fn travel(&self, ball: BodyId, other: BodyId, horizon: f64) -> Option<f64> {
         let (a, b) = (&self.states[ball], &self.states[other]);
         let mut speed = (a.v_w - b.v_w).length();

@@ -207,7 +207,7 @@ fn strikes_repeat_to_the_bit() {
             assert!(simulation.restore());
             simulation.strike(&strike, 0.65, 0.75);
             run(&mut simulation, 1.5);
-            (0..simulation.body_count()).map(|b| simulation.state(b)).collect::<Vec<_>>()
+            simulation.states().to_vec()
         };
         assert_eq!(shot(), shot(), "{}", factory.engine());
     }

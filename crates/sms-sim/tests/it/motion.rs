@@ -231,7 +231,7 @@ fn restoring_a_snapshot_repeats_every_bit() {
                 StrikerMotion { contact_w: DVec3::new(0.0, 0.0, R), angle: 0.05, speed, ball_radius: R };
             simulation.strike(motion, 0.6, 0.7);
             run(&mut simulation, 3.0);
-            (0..simulation.body_count()).map(|b| simulation.state(b)).collect::<Vec<_>>()
+            simulation.states().to_vec()
         };
         let first = rollout(0.7);
         let other = rollout(0.3);

@@ -159,12 +159,7 @@ impl Writer {
             k.mass.unwrap_or(KINEMATIC_MASS),
             numbers([KINEMATIC_MASS; 3])
         );
-        let shape = match k.shape {
-            KinematicShape::Cuboid { half } => format!(r#"type="box" size="{}""#, numbers(half.to_array())),
-            KinematicShape::Capsule { half_length, radius } => {
-                format!(r#"type="capsule" size="{}""#, numbers([radius, half_length]))
-            }
-        };
+        let shape = format!(r#"type="box" size="{}""#, numbers(k.shape.half.to_array()));
         if k.enabled {
             let part = if k.mass.is_some() { Part::Tool } else { Part::Kinematic };
             self.geom(index, part, (k.friction, k.restitution), &shape);

@@ -55,12 +55,7 @@ impl Bounds {
     /// Returns whether a box about the origin of `x_wt` may be within `margin` metres of the body at `x_wb`. Has false
     /// positives only.
     pub(super) fn is_near(&self, x_wb: &DPose3, shape: KinematicShape, x_wt: &DPose3, margin: f64) -> bool {
-        let half = match shape {
-            KinematicShape::Cuboid { half } => half,
-            KinematicShape::Capsule { half_length, radius } => {
-                DVec3::new(radius, radius, half_length + radius)
-            }
-        };
+        let KinematicShape { half } = shape;
         let Some(parts) = &self.0 else {
             let up_t = x_wt.rotation.inverse() * (x_wb.rotation * DVec3::Z);
             let above = x_wb.inverse_transform_point(x_wt.translation).z;
@@ -111,7 +106,7 @@ mod tests {
     #[test]
     fn a_box_is_near_what_its_faces_are_near() {
         let body = |shape| Bounds::of(&shape);
-        let shape = KinematicShape::Cuboid { half: DVec3::new(0.01, 0.02, 0.03) };
+        let shape = KinematicShape { half: DVec3::new(0.01, 0.02, 0.03) };
         let at = |x: f64, y: f64, z: f64| DPose3::from_translation(DVec3::new(x, y, z));
         let (ball, tool) = (body(BodyShape::Sphere { radius: 0.03 }), at(0.0, 0.0, 0.0));
         assert!(ball.is_near(&at(0.0405, 0.015, 0.0), shape, &tool, 1e-3));

@@ -455,10 +455,6 @@ impl World for MujocoWorld {
         self.put_to_sleep(dt);
     }
 
-    fn body_count(&self) -> usize {
-        self.bodies.len()
-    }
-
     fn state(&self, body: BodyId) -> BodyState {
         let BodyInfo { joint, com, x_wb } = self.bodies[body];
         let Some(joint) = joint else {

@@ -101,16 +101,7 @@ impl Shaper<'_> {
     /// # Errors
     /// The reason why it cannot be simulated.
     pub(super) fn kinematic(&self, shape: KinematicShape) -> Result<Shape, String> {
-        match shape {
-            KinematicShape::Cuboid { half } => self.cuboid(half),
-            KinematicShape::Capsule { half_length, radius } => {
-                // PhysX's capsules lie along x.
-                let upright = DPose3::from_parts(DVec3::ZERO, DQuat::from_rotation_arc(DVec3::X, DVec3::Z));
-                // SAFETY: a constructor of plain data.
-                let capsule = unsafe { PxCapsuleGeometry_new(radius as f32, half_length as f32) };
-                self.shape(from_ref(&capsule).cast(), &upright)
-            }
-        }
+        self.cuboid(shape.half)
     }
 
     fn sphere(&self, radius: f64) -> Result<Shape, String> {

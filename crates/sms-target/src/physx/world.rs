@@ -239,10 +239,6 @@ impl World for PhysxWorld {
         }
     }
 
-    fn body_count(&self) -> usize {
-        self.blueprints.len()
-    }
-
     fn state(&self, body: BodyId) -> BodyState {
         let kept = self.instance.kept(body, &self.blueprints[body].role);
         if let Some(arm) = self.instance.arm_at(body) {
@@ -330,7 +326,7 @@ impl World for PhysxWorld {
     fn add_arm(&mut self, strike: &ArmStrike, friction: f64, restitution: f64) -> Option<BodyId> {
         let surface = Surface { friction, restitution };
         let shaper = Shaper { surface, group: group(&Role::Arm), is_ball: false, tuning: self.tuning };
-        let fist = shaper.kinematic(KinematicShape::Cuboid { half: strike.half }).ok()?;
+        let fist = shaper.kinematic(KinematicShape { half: strike.half }).ok()?;
         // If PhysX cannot simulate this robot, the caller uses the tool alone.
         if !self.instance.add_arm(strike, &fist).ok()? {
             return None;

@@ -187,7 +187,7 @@ fn restoring_a_snapshot_repeats_every_bit() {
             assert!(simulation.restore());
             strike(&mut simulation, speed);
             run(&mut simulation, 1.5);
-            (0..simulation.body_count()).map(|b| simulation.state(b)).collect::<Vec<_>>()
+            simulation.states().to_vec()
         };
         let first = rollout(0.7);
         let other = rollout(0.3);
@@ -452,8 +452,8 @@ fn what_came_near_without_a_touch_is_caught_when_it_touches() {
         let mut has_touched = false;
         while simulation.time_s() < 0.1 {
             run(&mut simulation, DT);
-            hull_m = hull_m.max(simulation.penetration(1));
-            ball_m = ball_m.max(simulation.penetration(3));
+            hull_m = hull_m.max(simulation.penetration_at(1, simulation.states()));
+            ball_m = ball_m.max(simulation.penetration_at(3, simulation.states()));
             has_touched |= simulation.state(3).v_w.x > 0.05;
         }
         println!("{}: hull {:.3} mm, ball {:.3} mm deep", factory.engine(), 1e3 * hull_m, 1e3 * ball_m);

@@ -1,8 +1,10 @@
 //! Emitters in place of propellers: layers of particles that move at the stream's speed.
 
 use super::particles::Particles;
+use crate::SphSettings;
 use crate::wash::Stream;
 use serde::{Deserialize, Serialize};
+use sms_core::GOLDEN_ANGLE_RAD;
 use std::f64::consts::PI;
 
 /// Arrangement of the particles of a layer.
@@ -16,26 +18,12 @@ pub enum EmissionPattern {
     Square,
 }
 
-/// The golden angle.
-const GOLDEN: f64 = PI * (3.0 - 2.236_067_977_499_79);
-
 /// One emitter.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Emitter {
     /// Mass that is due for emission, kg.
     due: f64,
     layer: u32,
-}
-
-/// Layout of the emitted layers.
-pub(super) struct Layers {
-    pub(super) pattern: EmissionPattern,
-    /// Spacing of particles, metres.
-    pub(super) spacing: f64,
-    /// Mass of a particle, kg.
-    pub(super) mass: f64,
-    /// Largest number of particles.
-    pub(super) capacity: usize,
 }
 
 /// Offsets across the flow, in radii, of the particles of a layer.
@@ -46,7 +34,7 @@ fn layer_offsets(pattern: EmissionPattern, radius_in_spacings: f64, layer: u32, 
             let count = (PI * radius_in_spacings * radius_in_spacings).round().max(1.0);
             for k in 0..count as usize {
                 let r = ((k as f64 + 0.5) / count).sqrt();
-                let angle = GOLDEN * k as f64 + 2.4 * f64::from(layer);
+                let angle = GOLDEN_ANGLE_RAD * k as f64 + 2.4 * f64::from(layer);
                 out.push((r * angle.cos(), r * angle.sin()));
             }
         }
@@ -82,25 +70,25 @@ impl Emitter {
     pub(super) fn emit(
         &mut self,
         stream: &Stream,
-        layers: &Layers,
+        settings: &SphSettings,
         dt: f64,
         offsets: &mut Vec<(f64, f64)>,
         particles: &mut Particles,
     ) -> (usize, usize) {
-        let Layers { pattern, spacing, mass, capacity } = *layers;
+        let mass = settings.particle_mass();
         self.due += stream.emitted.mass_flow * dt;
         let (across, along) = stream.axis_w.any_orthonormal_pair();
         let v = (stream.emitted.speed * stream.axis_w).to_array().map(|a| a as f32);
         let (mut emitted, mut dropped) = (0, 0);
         loop {
-            layer_offsets(pattern, stream.emitted.radius / spacing, self.layer, offsets);
+            layer_offsets(settings.pattern, stream.emitted.radius / settings.spacing, self.layer, offsets);
             let layer_mass = mass * offsets.len() as f64;
             if self.due < layer_mass {
                 return (emitted, dropped);
             }
             self.due -= layer_mass;
             self.layer = self.layer.wrapping_add(1);
-            if particles.len() + offsets.len() > capacity {
+            if particles.len() + offsets.len() > settings.max_particles {
                 dropped += offsets.len();
                 continue;
             }
@@ -125,15 +113,16 @@ mod tests {
     fn what_leaves_is_the_mass_flow_whatever_the_step_and_the_pattern() {
         let emitted = Emitted { mass_flow: 0.1618, speed: 17.9, radius: 0.0484 };
         let stream = Stream { rotor: 0, p_w: DVec3::Z, axis_w: DVec3::NEG_Z, emitted };
-        let (spacing, mass) = (0.02, 1.225 * 0.02f64.powi(3));
+        let mass = 1.225 * 0.02f64.powi(3);
         for pattern in [EmissionPattern::Sunflower, EmissionPattern::Square] {
-            let layers = Layers { pattern, spacing, mass, capacity: 40_000 };
+            let settings =
+                SphSettings { pattern, spacing: 0.02, max_particles: 40_000, ..SphSettings::default() };
             for dt in [3e-4, 2.5e-3] {
                 let mut emitter = Emitter::default();
                 let (mut particles, mut offsets) = (Particles::with_capacity(40_000), Vec::new());
                 let steps = (0.2 / dt) as usize;
                 for _ in 0..steps {
-                    emitter.emit(&stream, &layers, dt, &mut offsets, &mut particles);
+                    emitter.emit(&stream, &settings, dt, &mut offsets, &mut particles);
                 }
                 let flow = particles.len() as f64 * mass / (steps as f64 * dt);
                 assert!((flow / emitted.mass_flow - 1.0).abs() < 0.01, "{pattern:?} {dt}: {flow}");
@@ -151,9 +140,8 @@ mod tests {
         let emitted = Emitted { mass_flow: 0.1618, speed: 17.9, radius: 0.0484 };
         let stream = Stream { rotor: 0, p_w: DVec3::Z, axis_w: DVec3::NEG_Z, emitted };
         let (mut emitter, mut particles) = (Emitter::default(), Particles::with_capacity(100));
-        let mass = 1.225 * 0.02f64.powi(3);
-        let layers = Layers { pattern: EmissionPattern::Sunflower, spacing: 0.02, mass, capacity: 100 };
-        let (e, d) = emitter.emit(&stream, &layers, 0.05, &mut Vec::new(), &mut particles);
+        let settings = SphSettings { spacing: 0.02, max_particles: 100, ..SphSettings::default() };
+        let (e, d) = emitter.emit(&stream, &settings, 0.05, &mut Vec::new(), &mut particles);
         assert!(particles.len() == e && e <= 100 && d > 500);
     }
 }

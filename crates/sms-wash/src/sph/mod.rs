@@ -23,7 +23,7 @@ use crate::wash::Stream;
 use crate::{BodyMotion, BodySurface, Emission, VehicleState, Wash, WashError, Wrench};
 use cells::CellGrid;
 use contact::{Moved, Near, Obstacles};
-use emitter::{Emitter, Layers};
+use emitter::Emitter;
 use forces::Gas;
 use glamx::{DPose3, DVec3};
 use particles::Particles;
@@ -116,6 +116,11 @@ impl SphSettings {
         }
     }
 
+    /// Mass of a particle, kg.
+    fn particle_mass(&self) -> f64 {
+        self.air_density * self.spacing.powi(3)
+    }
+
     fn check(&self) -> Result<(), WashError> {
         for (name, value) in [
             ("air_density", self.air_density),
@@ -205,21 +210,6 @@ impl SphWash {
         })
     }
 
-    /// The settings.
-    pub fn settings(&self) -> &SphSettings {
-        &self.settings
-    }
-
-    /// Number of current particles.
-    pub fn particle_count(&self) -> usize {
-        self.state.particles.len()
-    }
-
-    /// Mass of a particle, kg.
-    pub fn particle_mass(&self) -> f64 {
-        self.settings.air_density * self.settings.spacing.powi(3)
-    }
-
     /// Positions (metres) and velocities (m/s) of all particles in the world, in an order that changes with every step.
     pub fn particles(&self) -> impl Iterator<Item = ([f32; 3], [f32; 3])> + '_ {
         let p = &self.state.particles;
@@ -228,7 +218,8 @@ impl SphWash {
 
     /// The momentum balance.
     pub fn ledger(&self) -> Ledger {
-        let in_flight_w = self.particle_mass() * DVec3::from_array(self.state.particles.velocity_sum());
+        let in_flight_w =
+            self.settings.particle_mass() * DVec3::from_array(self.state.particles.velocity_sum());
         Ledger { in_flight_w, ..self.state.ledger }
     }
 
@@ -247,7 +238,6 @@ impl SphWash {
     }
 
     fn emit(&mut self, structure: Option<&Aabb>, dt: f64) {
-        let mass = self.particle_mass();
         let State { particles, emitters, ledger } = &mut self.state;
         for (rotor, emitter) in emitters.iter_mut().enumerate() {
             let blows = self.streams.iter().find(|s| s.rotor == rotor).filter(|stream| {
@@ -263,25 +253,19 @@ impl SphWash {
                 emitter.rest();
                 continue;
             };
-            let layers = Layers {
-                pattern: self.settings.pattern,
-                spacing: self.settings.spacing,
-                mass,
-                capacity: self.settings.max_particles,
-            };
-            let (emitted, dropped) = emitter.emit(stream, &layers, dt, &mut self.offsets, particles);
+            let (emitted, dropped) = emitter.emit(stream, &self.settings, dt, &mut self.offsets, particles);
             ledger.emitted += emitted;
             ledger.dropped += dropped;
             let v_w = (stream.emitted.speed * stream.axis_w).as_vec3().as_dvec3();
-            ledger.emitted_w += emitted as f64 * mass * v_w;
+            ledger.emitted_w += emitted as f64 * self.settings.particle_mass() * v_w;
         }
     }
 
     /// One step of the particles.
     fn substep(&mut self, dt: f64, structure: Option<&Aabb>, bodies: &[BodyMotion], wrenches: &mut [Wrench]) {
         self.emit(structure, dt);
-        let mass = self.particle_mass();
         let s = &self.settings;
+        let mass = s.particle_mass();
         let State { particles, ledger, .. } = &mut self.state;
         if particles.len() == 0 {
             return;

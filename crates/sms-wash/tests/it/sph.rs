@@ -49,7 +49,7 @@ fn a_plate_carries_the_thrust_of_a_propeller() {
         let vehicle = hover(&rotor, &[2.9], DVec3::Z * 0.35);
         let w = mean(&mut wash, &vehicle, &[DPose3::IDENTITY], 0.15, 0.4)[0];
         let part = w.force_w.z / -2.9;
-        println!("{} m: {part:.4} of the thrust, {} particles", settings.spacing, wash.particle_count());
+        println!("{} m: {part:.4} of the thrust, {} particles", settings.spacing, wash.particles().count());
         assert!((part / expected - 1.0).abs() < 0.05, "{settings:?}: {part}");
         // The force acts below the propeller.
         let lever = DVec3::new(w.torque_w.y, -w.torque_w.x, 0.0) / -w.force_w.z;
@@ -196,7 +196,7 @@ fn what_blows_up_does_not_panic() {
     let wild = SphSettings { cfl: 400.0, sound_speed: 5000.0, slack: 0.0, ..SphSettings::default() };
     let mut wash = SphWash::new(vec![plate(0.2)], wild).unwrap();
     mean(&mut wash, &hover(&rotors, &thrusts, DVec3::Z * 0.3), &[DPose3::IDENTITY], 0.0, 0.3);
-    assert!(wash.particle_count() < 30_000);
+    assert!(wash.particles().count() < 30_000);
 }
 
 /// The air of a moving propeller continues to fall at the place of its emission, as predicted by the lag of the tube

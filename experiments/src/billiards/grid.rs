@@ -1,7 +1,6 @@
 //! The paper's baseline (appendix "Baseline Implementation Details"): a grid of speeds and angles, billiards geometry,
 //! and an obstacle map in top view.
 
-use crate::PlanError;
 use glamx::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::InputError;
@@ -68,15 +67,14 @@ impl GridBaseline {
     /// borders of the map. No object moves.
     ///
     /// # Errors
-    /// [`PlanError::Input`] for tasks other than billiards.
-    pub fn plan(&self, task: &ResolvedTask, scene: &Scene) -> Result<GridPlan, PlanError> {
+    /// [`InputError`] for tasks other than billiards, and for an empty grid.
+    pub fn plan(&self, task: &ResolvedTask, scene: &Scene) -> Result<GridPlan, InputError> {
         let Some(goal) = task.goal_w() else {
             return Err(InputError::new(
                 "the grid baseline plans billiards only",
                 "(task)",
                 "use a task with kind = \"billiards\"",
-            )
-            .into());
+            ));
         };
         let (cue, target) = (task.cue(), task.target());
         let (from, at) = (cue.center_w.truncate(), target.center_w.truncate());
@@ -116,7 +114,6 @@ impl GridBaseline {
         }
         best.map(|b| b.1).ok_or_else(|| {
             InputError::new("the grid has no speeds or no angles", "(settings)", "give at least one of each")
-                .into()
         })
     }
 }
