@@ -2,151 +2,84 @@
 
 use crate::Format;
 use crate::text::principal;
-use glamx::{DPose3, DVec3};
-use serde::Serialize;
-use sms_core::{MassProperties, Material, Property};
+use glamx::{DPose3, DQuat, DVec3};
+use serde_json::{Value, json};
+use sms_core::{Material, Property};
 use sms_scene::{Body, BodyKind, BodyShape, Scene, hull_file, trimesh_file, visual_file};
 
-#[derive(Serialize)]
-struct BodiesFile<'a> {
-    format: &'static str,
-    scene: &'a str,
-    units: &'static str,
-    frames: &'static str,
-    gravity_w: [f64; 3],
-    x_world_recording: PoseEntry,
-    bodies: Vec<ExportedBody<'a>>,
+fn wxyz(q: DQuat) -> [f64; 4] {
+    [q.w, q.x, q.y, q.z]
 }
 
-#[derive(Serialize)]
-struct PoseEntry {
-    position_m: [f64; 3],
-    quaternion_wxyz: [f64; 4],
+fn pose(pose: &DPose3) -> Value {
+    json!({ "position_m": pose.translation.to_array(), "quaternion_wxyz": wxyz(pose.rotation) })
 }
 
-#[derive(Serialize)]
-struct PrincipalEntry {
-    moments_kg_m2: [f64; 3],
-    axes_wxyz: [f64; 4],
-}
-
-#[derive(Serialize)]
-struct ExportedBody<'a> {
-    name: &'a str,
-    description: &'a str,
-    kind: BodyKind,
-    pose_world: PoseEntry,
-    shape: ExportedShape,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    visual: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    picture: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    mass: Option<MassProperties>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    principal: Option<PrincipalEntry>,
-    material: &'a Material,
-    color_srgb: [u8; 3],
-    observed_share: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    gaussians: Option<String>,
-}
-
-#[derive(Serialize)]
-#[serde(tag = "type", rename_all = "snake_case")]
-enum ExportedShape {
-    Sphere {
-        radius: f64,
-    },
-    Box {
-        half_extents: [f64; 3],
-    },
-    Cylinder {
-        radius: f64,
-        half_length: f64,
-    },
-    HalfSpace,
-    Hulls {
-        #[serde(skip_serializing_if = "Vec::is_empty")]
-        files: Vec<String>,
-        count: usize,
-    },
-    TriMesh {
-        #[serde(skip_serializing_if = "Option::is_none")]
-        file: Option<String>,
-    },
-}
-
-fn pose(pose: &DPose3) -> PoseEntry {
-    let q = pose.rotation;
-    PoseEntry { position_m: pose.translation.to_array(), quaternion_wxyz: [q.w, q.x, q.y, q.z] }
-}
-
-fn principal_entry(mass: &MassProperties) -> PrincipalEntry {
-    let (moments, q) = principal(mass);
-    PrincipalEntry { moments_kg_m2: moments.to_array(), axes_wxyz: [q.w, q.x, q.y, q.z] }
-}
-
-fn shape(body: &Body, format: Format) -> ExportedShape {
+fn shape(body: &Body, format: Format) -> Value {
     let at = format.mesh_folder(body);
     match &body.shape {
-        BodyShape::Sphere { radius } => ExportedShape::Sphere { radius: *radius },
-        BodyShape::Box { half_extents } => ExportedShape::Box { half_extents: half_extents.to_array() },
-        BodyShape::Cylinder { radius, half_length } => {
-            ExportedShape::Cylinder { radius: *radius, half_length: *half_length }
+        BodyShape::Hulls { hulls } => {
+            let mut shape = json!({ "type": "hulls" });
+            if let Some(at) = at.filter(|_| !hulls.is_empty()) {
+                let files = (0..hulls.len()).map(|i| format!("{at}{}", hull_file(body, i)));
+                shape["files"] = files.collect();
+            }
+            shape["count"] = hulls.len().into();
+            shape
         }
-        BodyShape::HalfSpace => ExportedShape::HalfSpace,
-        BodyShape::Hulls { hulls } => ExportedShape::Hulls {
-            files: at.map_or_else(Vec::new, |at| {
-                (0..hulls.len()).map(|i| format!("{at}{}", hull_file(body, i))).collect()
-            }),
-            count: hulls.len(),
-        },
         BodyShape::TriMesh { .. } => {
-            ExportedShape::TriMesh { file: at.map(|at| format!("{at}{}", trimesh_file(body))) }
+            let mut shape = json!({ "type": "tri_mesh" });
+            if let Some(at) = at {
+                shape["file"] = format!("{at}{}", trimesh_file(body)).into();
+            }
+            shape
+        }
+        primitive => json!(primitive),
+    }
+}
+
+fn body_value(body: &Body, format: Format, has_gaussians: bool) -> Value {
+    let mut value = json!({
+        "name": body.name,
+        "description": body.description,
+        "kind": body.kind,
+        "pose_world": pose(&body.x_wb),
+        "shape": shape(body, format),
+    });
+    if let Some(at) = format.mesh_folder(body).filter(|_| !body.visual.triangles.is_empty()) {
+        let visual = format!("{at}{}", visual_file(body));
+        value["visual"] = visual.as_str().into();
+        if body.texture.is_some() {
+            value["picture"] = visual.replace(".obj", ".png").into();
         }
     }
+    if let Some(mass) = &body.mass {
+        let (moments, axes) = principal(mass);
+        value["mass"] = json!(mass);
+        value["principal"] = json!({ "moments_kg_m2": moments.to_array(), "axes_wxyz": wxyz(axes) });
+    }
+    value["material"] = json!(body.material);
+    value["color_srgb"] = json!(body.color);
+    value["observed_share"] = json!(body.observed_share);
+    if has_gaussians {
+        value["gaussians"] = format!("gaussians/{}.ply", body.name).into();
+    }
+    value
 }
 
 /// Returns the content of the file; `gaussians` names the bodies with exported Gaussians.
-pub(crate) fn bodies_json<'a>(
-    scene: &'a Scene,
-    format: Format,
-    gaussians: &[String],
-) -> impl Serialize + use<'a> {
-    let entry = |body: &'a Body| {
-        let Body { name, description, kind, x_wb, visual, mass, material, color, observed_share, .. } = body;
-        let visual_path = (format.mesh_folder(body).filter(|_| !visual.triangles.is_empty()))
-            .map(|at| format!("{at}{}", visual_file(body)));
-        ExportedBody {
-            name,
-            description,
-            kind: *kind,
-            pose_world: pose(x_wb),
-            shape: shape(body, format),
-            picture: visual_path
-                .as_ref()
-                .filter(|_| body.texture.is_some())
-                .map(|p| p.replace(".obj", ".png")),
-            visual: visual_path,
-            mass: *mass,
-            principal: mass.as_ref().map(principal_entry),
-            material,
-            color_srgb: *color,
-            observed_share: *observed_share,
-            gaussians: gaussians.contains(name).then(|| format!("gaussians/{name}.ply")),
-        }
-    };
-    BodiesFile {
-        format: format.name(),
-        scene: &scene.name,
-        units: "metre, kilogram, second, radian",
-        frames: "world: z up; a moving body's frame has its origin at the centre of mass; \
-                 inertia about the centre of mass in the axes of the body frame",
-        gravity_w: scene.gravity_w.to_array(),
-        x_world_recording: pose(&scene.x_world_recording),
-        bodies: scene.bodies.iter().map(entry).collect(),
-    }
+pub(crate) fn bodies_json(scene: &Scene, format: Format, gaussians: &[String]) -> Value {
+    let entry = |body: &Body| body_value(body, format, gaussians.contains(&body.name));
+    json!({
+        "format": format.name(),
+        "scene": scene.name,
+        "units": "metre, kilogram, second, radian",
+        "frames": "world: z up; a moving body's frame has its origin at the centre of mass; \
+                   inertia about the centre of mass in the axes of the body frame",
+        "gravity_w": scene.gravity_w.to_array(),
+        "x_world_recording": pose(&scene.x_world_recording),
+        "bodies": scene.bodies.iter().map(entry).collect::<Vec<_>>(),
+    })
 }
 
 /// Returns the rows of the table of bodies in the README.

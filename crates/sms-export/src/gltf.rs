@@ -8,6 +8,7 @@ use glamx::DPose3;
 use serde_json::{Map, Value, json};
 use sms_core::{CoreError, Property, atomic, write_png_color};
 use sms_scene::{Body, BodyKind, Scene};
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
@@ -35,28 +36,20 @@ struct GlbBuilder<'a> {
     /// Folder for encoding images before they are added to the binary part.
     dir: &'a Path,
     binary: Vec<u8>,
-    views: Vec<Value>,
-    accessors: Vec<Value>,
-    meshes: Vec<Value>,
-    materials: Vec<Value>,
-    textures: Vec<Value>,
-    images: Vec<Value>,
-    nodes: Vec<Value>,
+    /// The arrays of the file by name.
+    arrays: BTreeMap<&'static str, Vec<Value>>,
 }
 
 impl<'a> GlbBuilder<'a> {
     fn new(dir: &'a Path) -> Self {
-        Self {
-            dir,
-            binary: Vec::new(),
-            views: Vec::new(),
-            accessors: Vec::new(),
-            meshes: Vec::new(),
-            materials: Vec::new(),
-            textures: Vec::new(),
-            images: Vec::new(),
-            nodes: Vec::new(),
-        }
+        Self { dir, binary: Vec::new(), arrays: BTreeMap::new() }
+    }
+
+    /// Appends to an array of the file; returns the index of the value.
+    fn push(&mut self, array: &'static str, value: Value) -> usize {
+        let values = self.arrays.entry(array).or_default();
+        values.push(value);
+        values.len() - 1
     }
 
     /// Appends bytes at a four-byte boundary; returns the index of their buffer view.
@@ -67,37 +60,28 @@ impl<'a> GlbBuilder<'a> {
             view["target"] = target.into();
         }
         self.binary.extend_from_slice(bytes);
-        self.views.push(view);
-        self.views.len() - 1
+        self.push("bufferViews", view)
     }
 
-    fn accessor(&mut self, view: usize, component: u32, kind: &str, count: usize) -> usize {
-        let accessor =
-            json!({ "bufferView": view, "componentType": component, "count": count, "type": kind });
-        self.accessors.push(accessor);
-        self.accessors.len() - 1
-    }
-
-    fn floats<const N: usize>(&mut self, values: &[[f32; N]]) -> usize {
+    /// Returns the accessor of vertex attributes.
+    fn floats<const N: usize>(&mut self, values: &[[f32; N]]) -> Value {
         let bytes: Vec<u8> = values.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
         let view = self.view(&bytes, Some(VERTICES));
-        self.accessor(view, FLOAT, if N == 2 { "VEC2" } else { "VEC3" }, values.len())
+        accessor(view, FLOAT, if N == 2 { "VEC2" } else { "VEC3" }, values.len())
     }
 
     fn primitive(&mut self, surface: &SplitMesh, material: usize) -> Value {
-        let mut attributes = Map::new();
-        let positions = self.floats(&surface.positions);
+        let mut positions = self.floats(&surface.positions);
         let bound = |pick: fn(f32, f32) -> f32, start: f32| -> Vec<f64> {
             let fold = |k: usize| surface.positions.iter().map(|p| p[k]).fold(start, pick);
             (0..3).map(|k| f64::from(fold(k))).collect()
         };
-        self.accessors[positions]["min"] = json!(bound(f32::min, f32::INFINITY));
-        self.accessors[positions]["max"] = json!(bound(f32::max, f32::NEG_INFINITY));
-        attributes.insert("POSITION".into(), positions.into());
-        attributes.insert("NORMAL".into(), self.floats(&surface.normals).into());
+        positions["min"] = json!(bound(f32::min, f32::INFINITY));
+        positions["max"] = json!(bound(f32::max, f32::NEG_INFINITY));
+        let mut accessors = vec![("POSITION", positions), ("NORMAL", self.floats(&surface.normals))];
         if !surface.uv.is_empty() {
             let down: Vec<[f32; 2]> = surface.uv.iter().map(|[u, v]| [*u, 1.0 - v]).collect();
-            attributes.insert("TEXCOORD_0".into(), self.floats(&down).into());
+            accessors.push(("TEXCOORD_0", self.floats(&down)));
         }
         if !surface.colors.is_empty() {
             // Linear light in 8 bits would show steps in dark colours.
@@ -109,13 +93,17 @@ impl<'a> GlbBuilder<'a> {
                 .flatten()
                 .collect();
             let view = self.view(&bytes, Some(VERTICES));
-            let colors = self.accessor(view, UNSIGNED_SHORT, "VEC4", surface.colors.len());
-            self.accessors[colors]["normalized"] = true.into();
-            attributes.insert("COLOR_0".into(), colors.into());
+            let mut colors = accessor(view, UNSIGNED_SHORT, "VEC4", surface.colors.len());
+            colors["normalized"] = true.into();
+            accessors.push(("COLOR_0", colors));
         }
         let bytes: Vec<u8> = surface.indices.iter().flat_map(|i| i.to_le_bytes()).collect();
         let view = self.view(&bytes, Some(INDICES));
-        let indices = self.accessor(view, UNSIGNED_INT, "SCALAR", surface.indices.len());
+        let index =
+            |(name, accessor): (&str, Value)| (name.to_owned(), self.push("accessors", accessor).into());
+        let attributes: Map<String, Value> = accessors.into_iter().map(index).collect();
+        let indices = accessor(view, UNSIGNED_INT, "SCALAR", surface.indices.len());
+        let indices = self.push("accessors", indices);
         json!({ "attributes": attributes, "indices": indices, "material": material })
     }
 
@@ -127,9 +115,9 @@ impl<'a> GlbBuilder<'a> {
             let bytes = fs::read(&file).map_err(CoreError::read(&file))?;
             fs::remove_file(&file).map_err(CoreError::write(&file))?;
             let view = self.view(&bytes, None);
-            self.images.push(json!({ "bufferView": view, "mimeType": "image/png", "name": body.name }));
-            self.textures.push(json!({ "sampler": 0, "source": self.images.len() - 1 }));
-            look["baseColorTexture"] = json!({ "index": self.textures.len() - 1 });
+            let image = json!({ "bufferView": view, "mimeType": "image/png", "name": body.name });
+            let texture = json!({ "sampler": 0, "source": self.push("images", image) });
+            look["baseColorTexture"] = json!({ "index": self.push("textures", texture) });
         } else if !colored {
             let [r, g, b] = body.color.map(linear);
             look["baseColorFactor"] = json!([r, g, b, 1.0]);
@@ -137,8 +125,7 @@ impl<'a> GlbBuilder<'a> {
         // Static surfaces are open, so their back is visible.
         let open = body.kind == BodyKind::Static;
         let material = json!({ "name": body.name, "pbrMetallicRoughness": look, "doubleSided": open });
-        self.materials.push(material);
-        Ok(self.materials.len() - 1)
+        Ok(self.push("materials", material))
     }
 
     fn body(&mut self, body: &Body, pose: &DPose3) -> Result<(), CoreError> {
@@ -153,23 +140,22 @@ impl<'a> GlbBuilder<'a> {
         if !surface.indices.is_empty() {
             let material = self.material(body, !surface.colors.is_empty())?;
             let primitive = self.primitive(&surface, material);
-            self.meshes.push(json!({ "name": body.name, "primitives": [primitive] }));
-            node["mesh"] = (self.meshes.len() - 1).into();
+            let mesh = json!({ "name": body.name, "primitives": [primitive] });
+            node["mesh"] = self.push("meshes", mesh).into();
         }
-        self.nodes.push(node);
+        self.push("nodes", node);
         Ok(())
     }
 
     /// Returns the file: header, JSON chunk, binary chunk.
     fn finish(mut self, name: &str, extras: Option<Value>) -> Vec<u8> {
         let half = std::f64::consts::FRAC_1_SQRT_2;
-        let children: Vec<usize> = (0..self.nodes.len()).collect();
+        let children: Vec<usize> = (0..self.arrays.get("nodes").map_or(0, Vec::len)).collect();
         let mut root = json!({ "name": "z_up_to_y_up", "rotation": [-half, 0.0, 0.0, half] });
         if !children.is_empty() {
             root["children"] = json!(children);
         }
-        self.nodes.push(root);
-        let mut scene = json!({ "name": name, "nodes": [self.nodes.len() - 1] });
+        let mut scene = json!({ "name": name, "nodes": [self.push("nodes", root)] });
         if let Some(extras) = extras {
             scene["extras"] = extras;
         }
@@ -177,27 +163,20 @@ impl<'a> GlbBuilder<'a> {
             "asset": { "version": "2.0", "generator": "sms" },
             "scene": 0,
             "scenes": [scene],
-            "nodes": self.nodes,
+            "nodes": self.arrays.remove("nodes"),
         });
         self.binary.resize(self.binary.len().next_multiple_of(4), 0);
         if !self.binary.is_empty() {
             file["buffers"] = json!([{ "byteLength": self.binary.len() }]);
         }
-        if !self.images.is_empty() {
+        if self.arrays.contains_key("images") {
             // Linear with mipmaps; charts of a baked texture must not repeat at the border.
             file["samplers"] =
                 json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071 }]);
         }
         // Empty arrays are not valid glTF.
-        for (key, values) in [
-            ("bufferViews", self.views),
-            ("accessors", self.accessors),
-            ("meshes", self.meshes),
-            ("materials", self.materials),
-            ("textures", self.textures),
-            ("images", self.images),
-        ] {
-            if !values.is_empty() {
+        for key in ["bufferViews", "accessors", "meshes", "materials", "textures", "images"] {
+            if let Some(values) = self.arrays.remove(key) {
                 file[key] = values.into();
             }
         }
@@ -219,6 +198,10 @@ impl<'a> GlbBuilder<'a> {
         }
         out
     }
+}
+
+fn accessor(view: usize, component: u32, kind: &str, count: usize) -> Value {
+    json!({ "bufferView": view, "componentType": component, "count": count, "type": kind })
 }
 
 /// Returns the physics of a body for programs that read extras (Blender shows them as custom properties).

@@ -47,23 +47,8 @@ pub fn mjcf_text(scene: &Scene) -> String {
         file.body(body);
     }
     format!(
-        r#"<mujoco model="{name}">
-  <!-- Written by sms. Metres, kilograms, seconds, radians; world z up. README.md and bodies.json say more. -->
-  <compiler angle="radian" autolimits="true"/>
-  <option timestep="{TIME_STEP}" gravity="{gravity}" integrator="implicitfast" cone="elliptic" impratio="10"/>
-  <default>
-    <geom solimp="0.95 0.99 0.0005"/>
-    <default class="collision"><geom group="3"/></default>
-    <default class="visual"><geom group="2" contype="0" conaffinity="0"/></default>
-  </default>
-  <visual><headlight ambient="0.4 0.4 0.4"/></visual>
-  <asset>
-{assets}  </asset>
-  <worldbody>
-    <light pos="0 0 3" dir="0 0 -1" diffuse="0.6 0.6 0.6"/>
-{world}  </worldbody>
-</mujoco>
-"#,
+        include_str!("../assets/scene.xml"),
+        time_step = TIME_STEP,
         name = escape(&scene.name),
         gravity = numbers(scene.gravity_w.to_array()),
         assets = file.assets,

@@ -8,43 +8,33 @@ use sms_scene::{Body, BodyKind, BodyShape, Scene, hull_file, trimesh_file, visua
 use std::fmt::Write;
 use std::path::Path;
 
-const HEAD: &str = "<?xml version=\"1.0\"?>\n<sdf version=\"1.9\">\n";
-
 /// Writes `world.sdf`, the meshes, and `models/<name>/{model.config,model.sdf,meshes/}` for each body.
 pub(crate) fn write(dir: &Path, scene: &Scene) -> Result<(), CoreError> {
-    let mut world = String::from(HEAD);
-    let _ = write!(
-        world,
-        "  <!-- Written by sms. Metres, kilograms, seconds, radians; world z up. -->\n  <world name=\"{}\">\n    \
-         <gravity>{}</gravity>\n    <physics name=\"default\" type=\"ignored\">\n      \
-         <max_step_size>0.001</max_step_size>\n      <real_time_factor>1</real_time_factor>\n      \
-         <real_time_update_rate>1000</real_time_update_rate>\n    </physics>\n    \
-         <light type=\"directional\" name=\"sun\">\n      <pose>0 0 10 0 0 0</pose>\n      \
-         <diffuse>0.9 0.9 0.9 1</diffuse>\n      <direction>-0.3 0.2 -1</direction>\n      \
-         <cast_shadows>true</cast_shadows>\n    </light>\n",
-        escape(&scene.name),
-        numbers(scene.gravity_w.to_array()),
-    );
+    let mut models = String::new();
     for body in &scene.bodies {
         let folder = dir.join("models").join(&body.name);
         let alone = Scene { bodies: vec![body.clone()], ..scene.clone() };
         write_meshes(&alone, &folder)?;
-        let at_origin = format!("{HEAD}{}</sdf>\n", model(scene, body, None, ""));
-        atomic::write_bytes(&folder.join("model.sdf"), at_origin.as_bytes())?;
+        let at_origin = model(scene, body, None, "");
+        let text = format!("<?xml version=\"1.0\"?>\n<sdf version=\"1.9\">\n{at_origin}</sdf>\n");
+        atomic::write_bytes(&folder.join("model.sdf"), text.as_bytes())?;
         atomic::write_bytes(&folder.join("model.config"), config(body).as_bytes())?;
-        world.push_str(&model(scene, body, Some(&body.x_wb), &format!("models/{}/", body.name)));
+        models += &model(scene, body, Some(&body.x_wb), &format!("models/{}/", body.name));
     }
-    world.push_str("  </world>\n</sdf>\n");
+    let world = format!(
+        include_str!("../assets/world.sdf"),
+        name = escape(&scene.name),
+        gravity = numbers(scene.gravity_w.to_array()),
+        models = models,
+    );
     atomic::write_bytes(&dir.join("world.sdf"), world.as_bytes())
 }
 
 fn config(body: &Body) -> String {
     format!(
-        "<?xml version=\"1.0\"?>\n<model>\n  <name>{}</name>\n  <version>1.0</version>\n  \
-         <sdf version=\"1.9\">model.sdf</sdf>\n  <author>\n    <name>sms</name>\n    <email>none</email>\n  </author>\n  \
-         <description>{} (reconstructed from an RGB-D scan)</description>\n</model>\n",
-        escape(&body.name),
-        escape(if body.description.is_empty() { &body.name } else { &body.description }),
+        include_str!("../assets/model.config"),
+        name = escape(&body.name),
+        description = escape(if body.description.is_empty() { &body.name } else { &body.description }),
     )
 }
 

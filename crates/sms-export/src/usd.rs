@@ -46,38 +46,40 @@ pub(crate) fn prim_names(scene: &Scene) -> Vec<String> {
 
 fn text(scene: &Scene) -> String {
     let g = scene.gravity_w;
-    let mut w = UsdWriter { text: String::new(), depth: 0 };
-    w.line("#usda 1.0");
-    w.line("(");
-    w.depth += 1;
-    w.line("defaultPrim = \"World\"");
-    w.line(&format!("doc = {}", quoted(&format!("Written by sms: {}", scene.name))));
-    w.line("kilogramsPerUnit = 1");
-    w.line("metersPerUnit = 1");
-    w.line("upAxis = \"Z\"");
-    w.depth -= 1;
-    w.line(")");
-    w.line("");
-    w.open("def Xform \"World\"", &["kind = \"assembly\""]);
-    w.open("def PhysicsScene \"PhysicsScene\"", &[]);
-    w.line(&format!(
-        "vector3f physics:gravityDirection = {}",
-        tuple(g.normalize_or(DVec3::NEG_Z).to_array())
-    ));
-    w.line(&format!("float physics:gravityMagnitude = {}", number(g.length())));
-    w.close();
     let names = prim_names(scene);
-    w.open("def Scope \"Materials\"", &[]);
-    for (body, name) in scene.bodies.iter().zip(&names) {
-        w.physics_material(body, name);
-        w.look(body, name);
-    }
-    w.close();
-    for (body, name) in scene.bodies.iter().zip(&names) {
+    let named = || scene.bodies.iter().zip(&names);
+    let mut w = UsdWriter { text: String::new(), depth: 1 };
+    for (body, name) in named() {
         w.body(body, name);
     }
-    w.close();
-    w.text
+    format!(
+        include_str!("../assets/scene.usda"),
+        doc = quoted(&format!("Written by sms: {}", scene.name)),
+        direction = tuple(g.normalize_or(DVec3::NEG_Z).to_array()),
+        magnitude = number(g.length()),
+        materials = named().map(|(body, name)| materials(body, name)).collect::<String>(),
+        bodies = w.text,
+    )
+}
+
+/// Returns the physical material, and a preview surface with the colour of the texture, else of the mesh's vertices.
+fn materials(body: &Body, name: &str) -> String {
+    let (source, shaders) = if body.texture.is_some() {
+        let file = texture_file(body);
+        let shaders = format!(include_str!("../assets/picture_shaders.usda"), name = name, file = file);
+        ("Picture.outputs:rgb", shaders)
+    } else {
+        ("Color.outputs:result", include_str!("../assets/color_shader.usda").to_owned())
+    };
+    format!(
+        include_str!("../assets/material.usda"),
+        name = name,
+        density = number(body.material.effective_density()),
+        friction = number(body.material.friction.value.best),
+        restitution = number(body.material.restitution.value.best),
+        source = source,
+        shaders = shaders,
+    )
 }
 
 fn tuple<const N: usize>(values: [f64; N]) -> String {
@@ -110,7 +112,7 @@ struct UsdWriter {
 
 impl UsdWriter {
     fn line(&mut self, line: &str) {
-        let _ = writeln!(self.text, "{:1$}{line}", "", if line.is_empty() { 0 } else { 4 * self.depth });
+        let _ = writeln!(self.text, "{:1$}{line}", "", 4 * self.depth);
     }
 
     /// Opens a prim with metadata.
@@ -133,55 +135,6 @@ impl UsdWriter {
     fn close(&mut self) {
         self.depth -= 1;
         self.line("}");
-    }
-
-    fn physics_material(&mut self, body: &Body, name: &str) {
-        let m = &body.material;
-        let header = format!("def Material \"{name}_physics\"");
-        self.open(&header, &["prepend apiSchemas = [\"PhysicsMaterialAPI\"]"]);
-        self.line(&format!("float physics:density = {}", number(m.effective_density())));
-        self.line(&format!("float physics:dynamicFriction = {}", number(m.friction.value.best)));
-        self.line(&format!("float physics:restitution = {}", number(m.restitution.value.best)));
-        self.line(&format!("float physics:staticFriction = {}", number(m.friction.value.best)));
-        self.close();
-    }
-
-    /// Writes a preview surface with the colour of the texture, else of the mesh's vertices.
-    fn look(&mut self, body: &Body, name: &str) {
-        let path = format!("/World/Materials/{name}_look");
-        self.open(&format!("def Material \"{name}_look\""), &[]);
-        self.line(&format!("token outputs:surface.connect = <{path}/Surface.outputs:surface>"));
-        let source = if body.texture.is_some() { "Picture.outputs:rgb" } else { "Color.outputs:result" };
-        self.open("def Shader \"Surface\"", &[]);
-        self.line("uniform token info:id = \"UsdPreviewSurface\"");
-        self.line(&format!("color3f inputs:diffuseColor.connect = <{path}/{source}>"));
-        self.line("float inputs:metallic = 0");
-        self.line("float inputs:roughness = 0.8");
-        self.line("token outputs:surface");
-        self.close();
-        if body.texture.is_some() {
-            self.open("def Shader \"Picture\"", &[]);
-            self.line("uniform token info:id = \"UsdUVTexture\"");
-            self.line(&format!("asset inputs:file = @./{}@", texture_file(body)));
-            self.line("token inputs:sourceColorSpace = \"sRGB\"");
-            self.line(&format!("float2 inputs:st.connect = <{path}/Coordinates.outputs:result>"));
-            self.line("token inputs:wrapS = \"clamp\"");
-            self.line("token inputs:wrapT = \"clamp\"");
-            self.line("float3 outputs:rgb");
-            self.close();
-            self.open("def Shader \"Coordinates\"", &[]);
-            self.line("uniform token info:id = \"UsdPrimvarReader_float2\"");
-            self.line("string inputs:varname = \"st\"");
-            self.line("float2 outputs:result");
-            self.close();
-        } else {
-            self.open("def Shader \"Color\"", &[]);
-            self.line("uniform token info:id = \"UsdPrimvarReader_float3\"");
-            self.line("string inputs:varname = \"displayColor\"");
-            self.line("float3 outputs:result");
-            self.close();
-        }
-        self.close();
     }
 
     fn body(&mut self, body: &Body, name: &str) {

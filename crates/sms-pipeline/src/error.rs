@@ -55,8 +55,6 @@ errors! {
     Target(sms_target::TargetError),
     /// The comparison with known models failed.
     Evaluate(sms_eval::EvaluateError),
-    /// The report cannot be written.
-    Report(sms_report::ReportError),
 }
 
 #[cfg(feature = "rerun")]

@@ -1,8 +1,8 @@
 //! Pictures of observed and rendered frames.
 
 use crate::colormap::{depth_picture, error_picture, label_picture};
-use base64::Engine;
-use sms_core::{Camera, ColorImage, CoreError, DepthImage, LabelMap, write_png_color};
+use crate::html::write_picture;
+use sms_core::{Camera, ColorImage, CoreError, DepthImage, LabelMap};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -54,21 +54,15 @@ pub(crate) fn view_rows(views: &[ViewPair], dir: &Path) -> Result<String, CoreEr
         let _ = write!(html, "<h3>Frame {} {tag}</h3><div class=\"views\">", view.frame_index);
         for (name, caption, picture) in pictures {
             let path = dir.join(format!("view_{:03}_{name}.png", view.frame_index));
-            write_png_color(&path, &picture)?;
             let _ = write!(
                 html,
                 "<figure><img src=\"{}\" alt=\"{caption}\"><figcaption>{caption}</figcaption></figure>",
-                data_uri(&path)?
+                write_picture(&path, &picture)?
             );
         }
         html.push_str("</div>");
     }
     Ok(html)
-}
-
-fn data_uri(path: &Path) -> Result<String, CoreError> {
-    let bytes = std::fs::read(path).map_err(CoreError::read(path))?;
-    Ok(format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes)))
 }
 
 /// Returns the 2 % and 98 % quantiles of the valid depths, so that outliers do not compress the colour scale.

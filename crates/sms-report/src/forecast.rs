@@ -152,13 +152,7 @@ fn axis(scale: &Scale) -> String {
     let mut svg = format!("<svg class=\"strip\" viewBox=\"0 0 {w} 18\" aria-hidden=\"true\">");
     for (k, anchor) in ["start", "middle", "end"].into_iter().enumerate() {
         let v = 0.5 * k as f64 * scale.top;
-        let x = if k == 0 {
-            0.0
-        } else if k == 2 {
-            w
-        } else {
-            scale.at(v)
-        };
+        let x = [0.0, scale.at(v), w][k];
         let _ = write!(svg, "<text x=\"{x:.1}\" y=\"{y}\" text-anchor=\"{anchor}\">{}</text>", tick_text(v));
     }
     svg.push_str("</svg>");

@@ -2,26 +2,12 @@
 
 use crate::figures::ViewPair;
 use crate::landing::LandingInput;
-use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
 use sms_core::{ColorImage, Warning};
-use sms_gaussians::GaussianModel;
+use sms_gaussians::{GaussianModel, LossSample};
 use sms_plan::Plan;
 use sms_scene::Scene;
-use sms_task::Execution;
-
-/// One point of the training curves.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct LossPoint {
-    /// Step from the start of the scan.
-    pub step: u64,
-    /// Mean absolute colour error.
-    pub color_l1: f64,
-    /// Depth error in metres.
-    pub depth_m: f64,
-    /// Weighted total.
-    pub total: f64,
-}
+use sms_task::{Execution, Trajectory};
 
 /// The data of a report. Results of stages that have not run are `None` or empty, and the page says so.
 #[derive(Debug, Default)]
@@ -51,11 +37,24 @@ pub struct ReportInput<'a> {
     /// Body name → role ("cue", "target").
     pub roles: Vec<(String, String)>,
     /// Training curves.
-    pub losses: Vec<LossPoint>,
+    pub losses: Vec<LossSample>,
     /// All metrics of the run.
     pub metrics: Metrics,
     /// All warnings of the run.
     pub warnings: Vec<Warning>,
     /// `run.toml` as text.
     pub settings_toml: String,
+}
+
+impl<'a> ReportInput<'a> {
+    /// Returns the planned motion of a strike or a landing.
+    pub(crate) fn predicted(&self) -> Option<&'a Trajectory> {
+        self.plan.map(|p| &p.trajectory).or(self.landing.map(|l| &l.plan.nominal.trajectory))
+    }
+
+    /// Returns the executed motion, with the names of its bodies (planner's, target's).
+    pub(crate) fn realised(&self) -> Option<(&'a Trajectory, &'a [(String, String)])> {
+        let landing = || self.landing?.realised.map(|r| (&r.outcome.trajectory, r.matches));
+        self.execution.map(|e| (&e.trajectory, e.matches.as_slice())).or_else(landing)
+    }
 }

@@ -1,13 +1,13 @@
 //! The landing section: the approach from above, and the predicted and realised outcomes.
 
-use crate::html::escape;
+use crate::html::{action_table, escape};
 use crate::top_view::{TopOutline, TopPath, TopShape, TopView};
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{Mesh, length_text};
 use sms_landing::{LandingOutcome, LandingPlan, LandingPrediction, QUADROTOR};
 use sms_mesh::outline::{convex_outline, outline_of};
 use sms_scene::{Body, BodyKind, Scene};
-use sms_task::Trajectory;
+use sms_task::{STRIKER, Trajectory};
 use sms_wash::{SPREADING_RATE, WashModel};
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -78,7 +78,7 @@ pub(crate) fn with_vehicle<'a>(scene: &'a Scene, landing: Option<&LandingInput<'
 
 /// Returns the planner's name of a target's body.
 pub(crate) fn planner_name(matches: &[(String, String)], name: &str) -> Option<String> {
-    if name == QUADROTOR {
+    if name == QUADROTOR || name == STRIKER {
         return Some(name.to_owned());
     }
     matches.iter().find(|m| m.1 == name).map(|m| m.0.clone())
@@ -148,29 +148,27 @@ pub(crate) fn landing_svg(scene: &Scene, landing: &LandingInput<'_>) -> Option<S
     let blown = reach + plan.vehicle.rotor_radius + SPREADING_RATE * depth;
     let swath = TopPath { width: 2.0 * blown * scale, opacity: 0.28, ..TopPath::line(curve.clone(), WASH) };
     let mut paths = vec![swath, TopPath { width: 4.0, ..TopPath::line(curve, PLANNED) }];
-    let closed = |mut points: Vec<DVec2>| {
+    let closed = |mut points: Vec<DVec2>, color: &str, dashed: bool| {
         points.extend(points.first().copied());
-        points
+        TopPath { width: 2.0, dashed, ..TopPath::line(points, color) }
     };
-    paths.push(TopPath { width: 2.0, ..TopPath::line(closed(vehicle_outline(plan, place)), PLANNED) });
+    paths.push(closed(vehicle_outline(plan, place), PLANNED, false));
     for body in &bodies {
         if let Some(x_wb) = moved_to(&plan.nominal.trajectory, &body.name, body) {
-            paths.push(TopPath { width: 2.0, ..TopPath::line(closed(outline_at(body, &x_wb)), PLANNED) });
+            paths.push(closed(outline_at(body, &x_wb), PLANNED, false));
         }
     }
     if let Some(realised) = landing.realised {
         let trajectory = &realised.outcome.trajectory;
         let flown = way(trajectory);
         if let Some(end) = flown.last() {
-            let shape = closed(vehicle_outline(plan, *end));
-            paths.push(TopPath { width: 2.0, dashed: true, ..TopPath::line(shape, REALISED) });
+            paths.push(closed(vehicle_outline(plan, *end), REALISED, true));
         }
         paths.push(TopPath { dashed: true, ..TopPath::line(flown, REALISED) });
         for body in &bodies {
             let Some((_, there)) = realised.matches.iter().find(|m| m.0 == body.name) else { continue };
             if let Some(x_wb) = moved_to(trajectory, there, body) {
-                let shape = closed(outline_at(body, &x_wb));
-                paths.push(TopPath { width: 2.0, dashed: true, ..TopPath::line(shape, REALISED) });
+                paths.push(closed(outline_at(body, &x_wb), REALISED, true));
             }
         }
     }
@@ -188,10 +186,10 @@ pub(crate) fn landing_svg(scene: &Scene, landing: &LandingInput<'_>) -> Option<S
 
 fn legend(svg: &mut String, height: f64) {
     let y = height - 14.0;
-    let _ = write!(svg, "<g font-size=\"14\" fill=\"#333\">");
     let _ = write!(
         svg,
-        "<rect x=\"0\" y=\"{:.0}\" width=\"480\" height=\"30\" fill=\"#f4f1ea\" fill-opacity=\"0.85\"/>",
+        "<g font-size=\"14\" fill=\"#333\"><rect x=\"0\" y=\"{:.0}\" width=\"480\" height=\"30\" \
+         fill=\"#f4f1ea\" fill-opacity=\"0.85\"/>",
         height - 30.0
     );
     for (x, color, dash, text) in
@@ -238,21 +236,11 @@ pub(crate) fn predicted_card(plan: &LandingPlan) -> (String, String) {
 /// Returns the tables of a landing.
 pub(crate) fn landing_section(landing: &LandingInput<'_>) -> String {
     let plan = landing.plan;
-    let mut html = String::from("<table><tr><th>action</th><th>value</th><th>range searched</th></tr>");
-    for (p, value) in plan.parameters.iter().zip(&plan.action.values().0) {
-        let _ = write!(
-            html,
-            "<tr><td>{}</td><td>{value:.3} {unit}</td><td>{:.3} to {:.3} {unit}</td></tr>",
-            escape(&p.name),
-            p.low,
-            p.high,
-            unit = escape(&p.unit)
-        );
-    }
+    let mut html = action_table(&plan.parameters, &plan.action.values().0, 3);
     let e = plan.evaluations;
     let _ = write!(
         html,
-        "</table><p>On {}, {} above the floor. {} simulated landings with jets, {} with particles, in {}.</p>",
+        "<p>On {}, {} above the floor. {} simulated landings with jets, {} with particles, in {}.</p>",
         escape(&plan.surface.body),
         length_text(plan.surface.top_w),
         e.jet,

@@ -4,7 +4,6 @@
 //! and realised outcomes, and a 3-D view. Its pictures are also written as PNG files.
 
 mod colormap;
-mod error;
 mod figures;
 mod forecast;
 mod html;
@@ -22,9 +21,8 @@ mod top_view;
 mod view3d;
 
 pub use colormap::{depth_picture, error_picture, label_picture, turbo};
-pub use error::ReportError;
 pub use figures::ViewPair;
-pub use input::{LossPoint, ReportInput};
+pub use input::ReportInput;
 pub use landing::{LandingInput, LandingRealised};
 #[cfg(feature = "rerun")]
 pub use live::{LiveError, LiveScan, Viewer};

@@ -16,7 +16,7 @@ use rerun::blueprint::{
     TimeSeriesView, Vertical,
 };
 use rerun::{RecordingStream, RecordingStreamBuilder};
-use sms_core::{Camera, ErrorKind, InputError, StageError};
+use sms_core::{Camera, InputError};
 use sms_gaussians::{BatchDone, ScanObserver, SlotDone};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
@@ -52,15 +52,6 @@ pub enum LiveError {
     /// The viewer was closed, or it was too slow.
     #[error("the Rerun viewer did not receive all data: {0}")]
     Behind(String),
-}
-
-impl StageError for LiveError {
-    fn kind(&self) -> ErrorKind<'_> {
-        match self {
-            Self::Input(e) => e.kind(),
-            Self::Sdk(_) | Self::Behind(_) => ErrorKind::Other,
-        }
-    }
 }
 
 enum Message {

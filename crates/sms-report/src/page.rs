@@ -1,17 +1,16 @@
 //! Builds the report page.
 
-use crate::error::ReportError;
 use crate::figures::view_rows;
 use crate::forecast::forecast_section;
-use crate::html::escape;
-use crate::input::{LossPoint, ReportInput};
+use crate::html::{action_table, escape, write_picture};
+use crate::input::ReportInput;
 use crate::landing::{landing_section, landing_svg, predicted_card, verdict};
 use crate::shot::shot_svg;
 use crate::view3d::view_data;
-use base64::Engine;
 use serde_json::Value;
 use sms_core::metrics::Metrics;
-use sms_core::{ColorImage, CoreError, Warning, atomic, length_text, write_png_color};
+use sms_core::{ColorImage, CoreError, Warning, atomic, length_text};
+use sms_gaussians::LossSample;
 use sms_scene::{BodyKind, BodyShape};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -25,8 +24,8 @@ const THREE_LICENSE: &str = include_str!("../assets/three.LICENSE");
 /// Writes `index.html` and its pictures into `dir`; returns the page's path.
 ///
 /// # Errors
-/// [`ReportError::Core`] if a file cannot be written.
-pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, ReportError> {
+/// [`CoreError`] if a file cannot be written.
+pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, CoreError> {
     let views = view_rows(&input.views, dir)?;
     let (file, shot) = match (&input.landing, input.scene) {
         (Some(landing), Some(scene)) => ("landing.svg", landing_svg(scene, landing)),
@@ -38,9 +37,6 @@ pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, Repo
     let pictures = choice_pictures(&input.pictures, dir)?;
     // `</` would end the script element.
     let data = view_data(input).to_string().replace("</", "<\\/");
-    let missing = |what: &str, command: &str| {
-        format!("<p class=\"missing\">No {what} yet. Run <code>sms {command}</code>.</p>")
-    };
     let parts: [(&str, String); 17] = [
         ("title", escape(&input.title)),
         ("subtitle", escape(&input.subtitle)),
@@ -80,6 +76,10 @@ fn fill(template: &str, parts: &[(&str, String)]) -> String {
     }
     out.push_str(rest);
     out
+}
+
+fn missing(what: &str, command: &str) -> String {
+    format!("<p class=\"missing\">No {what} yet. Run <code>sms {command}</code>.</p>")
 }
 
 fn card(html: &mut String, label: &str, value: &str, note: &str, class: &str) {
@@ -166,13 +166,11 @@ fn choice_pictures(pictures: &[(String, ColorImage)], dir: &Path) -> Result<Stri
     let mut html = String::from("<section><h2>Candidates of the choice</h2><div class=\"columns\">");
     for (k, (text, image)) in pictures.iter().enumerate() {
         let path = dir.join(format!("choice_{}.png", k + 1));
-        write_png_color(&path, image)?;
-        let bytes = std::fs::read(&path).map_err(CoreError::read(&path))?;
-        let data = base64::engine::general_purpose::STANDARD.encode(bytes);
+        let data = write_picture(&path, image)?;
         let text = escape(text);
         let _ = write!(
             html,
-            "<figure><img style=\"max-width:100%\" alt=\"{text}\" src=\"data:image/png;base64,{data}\">\
+            "<figure><img style=\"max-width:100%\" alt=\"{text}\" src=\"{data}\">\
              <figcaption>{text}</figcaption></figure>"
         );
     }
@@ -182,19 +180,9 @@ fn choice_pictures(pictures: &[(String, ColorImage)], dir: &Path) -> Result<Stri
 
 fn plan_section(input: &ReportInput<'_>) -> String {
     let Some(plan) = input.plan else {
-        return "<p class=\"missing\">No plan yet. Run <code>sms plan RUN --task T.toml</code>.</p>".into();
+        return missing("plan", "plan RUN --task T.toml");
     };
-    let mut html = String::from("<table><tr><th>action</th><th>value</th><th>range searched</th></tr>");
-    for (p, value) in plan.parameters.iter().zip(&plan.action.0) {
-        let _ = write!(
-            html,
-            "<tr><td>{}</td><td>{value:.4} {unit}</td><td>{:.3} to {:.3} {unit}</td></tr>",
-            escape(&p.name),
-            p.low,
-            p.high,
-            unit = escape(&p.unit)
-        );
-    }
+    let mut html = action_table(&plan.parameters, &plan.action.0, 4);
     let invalid = if plan.invalid > 0 {
         let why = plan.failure_text().map(|t| format!(" ({})", escape(&t))).unwrap_or_default();
         format!(", {} of which were invalid and discarded{why}", plan.invalid)
@@ -203,7 +191,7 @@ fn plan_section(input: &ReportInput<'_>) -> String {
     };
     let _ = write!(
         html,
-        "</table><p>{} rollouts in {}{invalid}, from {} starts.</p>",
+        "<p>{} rollouts in {}{invalid}, from {} starts.</p>",
         plan.evaluations,
         escape(&plan.engine),
         plan.starts.len()
@@ -213,7 +201,7 @@ fn plan_section(input: &ReportInput<'_>) -> String {
 
 fn objects_table(input: &ReportInput<'_>) -> String {
     let Some(scene) = input.scene else {
-        return "<p class=\"missing\">No objects yet. Run <code>sms materialize RUN</code>.</p>".into();
+        return missing("objects", "materialize RUN");
     };
     let truth = input.metrics.iter().any(|(k, _)| k.starts_with("evaluate."));
     let mut html = String::from(
@@ -285,20 +273,20 @@ fn truth_text(metrics: &Metrics, name: &str) -> String {
     parts.join("; ")
 }
 
-fn loss_curves(losses: &[LossPoint]) -> String {
+fn loss_curves(losses: &[LossSample]) -> String {
     if losses.len() < 2 {
         return "<p class=\"missing\">No training curves.</p>".into();
     }
     let (w, h) = (760.0, 180.0);
     let last = losses.last().map_or(1, |l| l.step.max(1)) as f64;
     let mut html = String::new();
-    let curves: [(&str, fn(&LossPoint) -> f64, &str); 3] = [
-        ("colour error (mean absolute)", |l| l.color_l1, "#c77700"),
-        ("depth error (m)", |l| l.depth_m, "#1f5fd0"),
-        ("total loss", |l| l.total, "#555"),
+    let curves: [(&str, fn(&LossSample) -> f32, &str); 3] = [
+        ("colour error (mean absolute)", |l| l.loss.color_l1, "#c77700"),
+        ("depth error (m)", |l| l.loss.depth, "#1f5fd0"),
+        ("total loss", |l| l.loss.total, "#555"),
     ];
     for (name, value, color) in curves {
-        let logs: Vec<f64> = losses.iter().map(|l| value(l).max(1e-6).log10()).collect();
+        let logs: Vec<f64> = losses.iter().map(|l| f64::from(value(l)).max(1e-6).log10()).collect();
         let (low, high) = logs.iter().fold((f64::MAX, f64::MIN), |(a, b), &v| (a.min(v), b.max(v)));
         let span = (high - low).max(1e-3);
         let points: Vec<String> = losses

@@ -13,8 +13,8 @@ use rerun::blueprint::{
     Vertical,
 };
 use rerun::{RecordingStream, RecordingStreamBuilder};
+use sms_core::Mesh;
 use sms_core::glamx::DVec3;
-use sms_core::{ErrorKind, Mesh, StageError};
 use sms_landing::ParticleFrame;
 use sms_scene::{BodyKind, BodyShape, Scene};
 use sms_task::Trajectory;
@@ -44,15 +44,6 @@ pub enum RrdError {
     Core(#[from] sms_core::CoreError),
 }
 
-impl StageError for RrdError {
-    fn kind(&self) -> ErrorKind<'_> {
-        match self {
-            Self::Core(e) => e.kind(),
-            Self::Sdk { .. } | Self::Flush { .. } => ErrorKind::Other,
-        }
-    }
-}
-
 /// Writes the recording; an earlier one stays intact until this one is complete.
 ///
 /// # Errors
@@ -79,26 +70,14 @@ fn log_all(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
     if let Some(scene) = input.scene {
         let scene = &*with_vehicle(scene, input.landing.as_ref());
         log_bodies(rec, scene, "world/bodies", None)?;
-        if let Some(plan) = input.plan {
-            log_motion(rec, scene, &plan.trajectory, "world/bodies", |n| Some(n.to_owned()))?;
-            log_paths(rec, &plan.trajectory, "predicted", [31, 95, 208])?;
-        }
-        if let Some(e) = input.execution {
-            let matched = |n: &str| e.matches.iter().find(|m| m.1 == n).map(|m| m.0.clone());
-            log_bodies(rec, scene, "world/realised", Some([73, 209, 124, 120]))?;
-            log_motion(rec, scene, &e.trajectory, "world/realised", matched)?;
-            log_paths(rec, &e.trajectory, "realised", [73, 209, 124])?;
-        }
-        if let Some(landing) = &input.landing {
-            let planned = &landing.plan.nominal.trajectory;
+        if let Some(planned) = input.predicted() {
             log_motion(rec, scene, planned, "world/bodies", |n| Some(n.to_owned()))?;
             log_paths(rec, planned, "predicted", [31, 95, 208])?;
-            if let Some(r) = landing.realised {
-                log_bodies(rec, scene, "world/realised", Some([73, 209, 124, 120]))?;
-                let there = &r.outcome.trajectory;
-                log_motion(rec, scene, there, "world/realised", |n| planner_name(r.matches, n))?;
-                log_paths(rec, there, "realised", [73, 209, 124])?;
-            }
+        }
+        if let Some((there, matches)) = input.realised() {
+            log_bodies(rec, scene, "world/realised", Some([73, 209, 124, 120]))?;
+            log_motion(rec, scene, there, "world/realised", |n| planner_name(matches, n))?;
+            log_paths(rec, there, "realised", [73, 209, 124])?;
         }
     }
     if let Some(landing) = &input.landing {
@@ -113,10 +92,9 @@ fn log_all(rec: &RecordingStream, input: &ReportInput<'_>) -> Logged {
     }
     for point in &input.losses {
         rec.set_time_sequence("step", point.step as i64);
-        for (name, value) in
-            [("color_l1", point.color_l1), ("depth_m", point.depth_m), ("total", point.total)]
-        {
-            rec.log(format!("losses/{name}"), &rerun::Scalars::new([value]))?;
+        let loss = point.loss;
+        for (name, value) in [("color_l1", loss.color_l1), ("depth_m", loss.depth), ("total", loss.total)] {
+            rec.log(format!("losses/{name}"), &rerun::Scalars::new([f64::from(value)]))?;
         }
     }
     Ok(())

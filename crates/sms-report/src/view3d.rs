@@ -1,8 +1,8 @@
 //! Data of the interactive 3-D view: JSON with binary buffers in base64.
 
+use crate::html::base64_of;
 use crate::input::ReportInput;
 use crate::landing::{planner_name, with_vehicle};
-use base64::Engine;
 use serde_json::{Value, json};
 use sms_core::Mesh;
 use sms_scene::{Body, BodyShape};
@@ -10,10 +10,6 @@ use sms_task::Trajectory;
 
 /// Largest number of Gaussians shown as points; more are thinned evenly.
 const MAX_POINTS: usize = 60_000;
-
-fn base64_of(bytes: &[u8]) -> String {
-    base64::engine::general_purpose::STANDARD.encode(bytes)
-}
 
 fn floats(values: impl IntoIterator<Item = f64>) -> String {
     let bytes: Vec<u8> = values.into_iter().flat_map(|v| (v as f32).to_le_bytes()).collect();
@@ -79,23 +75,13 @@ pub(crate) fn view_data(input: &ReportInput<'_>) -> Value {
             "lab": base64_of(&labels),
         })
     });
-    let matches = input.execution.map(|e| e.matches.as_slice()).unwrap_or_default();
     let scene = input.scene.map(|s| with_vehicle(s, input.landing.as_ref()));
-    let landing_realised = input.landing.and_then(|l| l.realised);
-    let predicted = input.plan.map(|p| &p.trajectory).or(input.landing.map(|l| &l.plan.nominal.trajectory));
     json!({
         "points": points,
         "bodies": scene.map(|s| s.bodies.iter().map(body_value).collect::<Vec<_>>()).unwrap_or_default(),
         "goal": input.goal_w,
         "striker": input.striker_half_m,
-        "predicted": predicted.map(|t| trajectory_value(t, |n| Some(n.to_owned()))),
-        "realised": input.execution.map(|e| trajectory_value(&e.trajectory, |n| {
-            if n == "striker" {
-                return Some(n.to_owned());
-            }
-            matches.iter().find(|m| m.1 == n).map(|m| m.0.clone())
-        })).or_else(|| landing_realised.map(|r| {
-            trajectory_value(&r.outcome.trajectory, |n| planner_name(r.matches, n))
-        })),
+        "predicted": input.predicted().map(|t| trajectory_value(t, |n| Some(n.to_owned()))),
+        "realised": input.realised().map(|(t, matches)| trajectory_value(t, |n| planner_name(matches, n))),
     })
 }

@@ -89,8 +89,8 @@ impl Networks {
         context: &'a Context,
         dir: &'a Path,
         run: &'a Path,
-    ) -> ShownSegmenter<'a> {
-        ShownSegmenter { networks: self, context, dir, run }
+    ) -> Box<dyn Segmenter + 'a> {
+        Box::new(ShownSegmenter { networks: self, context, dir, run })
     }
 
     /// Shows the detections in the first frame of a run without changing its masks.
@@ -137,7 +137,7 @@ impl Networks {
 }
 
 /// A segmenter that keeps the detections of the first frame with the masks (`found.json`) and shows them.
-pub(crate) struct ShownSegmenter<'a> {
+struct ShownSegmenter<'a> {
     networks: &'a Networks,
     context: &'a Context,
     dir: &'a Path,

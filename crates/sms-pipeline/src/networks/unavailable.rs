@@ -2,10 +2,10 @@
 
 use super::{ModelEntry, NetworksRequest};
 use crate::{Context, Device, Error};
+use sms_core::InputError;
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, Labels, StageContext};
 use sms_frames::{ReadOptions, Sequence};
-use sms_masks::{MasksError, Segmenter};
+use sms_masks::Segmenter;
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 
@@ -25,19 +25,16 @@ impl Networks {
         match self.0 {}
     }
 
-    pub(crate) fn segmenter<'a>(&'a self, _: &'a Context, _: &'a Path, _: &'a Path) -> Unavailable {
+    pub(crate) fn segmenter<'a>(
+        &'a self,
+        _: &'a Context,
+        _: &'a Path,
+        _: &'a Path,
+    ) -> Box<dyn Segmenter + 'a> {
         match self.0 {}
     }
 
     pub(crate) fn preview(&self, _: &Context, _: &Sequence, _: &Path) -> Result<(), Error> {
-        match self.0 {}
-    }
-}
-
-pub(crate) struct Unavailable(Infallible);
-
-impl Segmenter for Unavailable {
-    fn segment(&self, _: &Sequence, _: StageContext<'_>) -> Result<Labels, MasksError> {
         match self.0 {}
     }
 }

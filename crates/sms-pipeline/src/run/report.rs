@@ -8,11 +8,11 @@ use crate::stages::{ChoiceRecord, recording};
 use sms_core::metrics::Metrics;
 use sms_core::{ColorImage, InputError, RunFolder, Warning, read_png_color};
 use sms_frames::Sequence;
-use sms_gaussians::{GaussianModel, LossSample, read_ply, render_views};
+use sms_gaussians::{GaussianModel, read_ply, render_views};
 use sms_landing::{LandingPlan, RolloutOptions, rollout_landing};
 use sms_masks::load_labels;
 use sms_plan::load_plan;
-use sms_report::{LandingInput, LandingRealised, LossPoint, ReportInput, ViewPair, write_report};
+use sms_report::{LandingInput, LandingRealised, ReportInput, ViewPair, write_report};
 use sms_scene::{Scene, load_scene};
 use sms_sim::{FINGER_HALF, RapierFactory};
 use sms_target::{LANDING_EXECUTION_FILE, LandingExecution};
@@ -27,7 +27,7 @@ impl Run<'_> {
     /// viewer.
     ///
     /// # Errors
-    /// [`Error::Core`] if there is no scan; [`Error::Report`] if the page cannot be written.
+    /// [`Error::Core`] if there is no scan or a file cannot be written.
     pub fn report(&self) -> Result<PathBuf, Error> {
         let run = self.open_to_read()?;
         let settings = RunSettings::of(&run)?;
@@ -68,7 +68,7 @@ impl Run<'_> {
             goal_w: resolved.as_ref().and_then(|t| t.goal_w()).map(|p| p.to_array()),
             striker_half_m: Some(FINGER_HALF.to_array()),
             roles: resolved.as_ref().map(roles).unwrap_or_default(),
-            losses: losses(&gaussians_dir)?,
+            losses: read_optional(&gaussians_dir.join("losses.json"))?.unwrap_or_default(),
             metrics,
             warnings,
             settings_toml: std::fs::read_to_string(run.root().join("run.toml")).unwrap_or_default(),
@@ -166,19 +166,6 @@ fn title(recording: &str, task: Option<&ResolvedTask>, seed: u64) -> String {
 
 fn roles(task: &ResolvedTask) -> Vec<(String, String)> {
     vec![(task.cue().name.clone(), "cue".into()), (task.target().name.clone(), "target".into())]
-}
-
-fn losses(gaussians_dir: &Path) -> Result<Vec<LossPoint>, Error> {
-    let samples: Vec<LossSample> = read_optional(&gaussians_dir.join("losses.json"))?.unwrap_or_default();
-    Ok(samples
-        .iter()
-        .map(|s| LossPoint {
-            step: s.step,
-            color_l1: f64::from(s.loss.color_l1),
-            depth_m: f64::from(s.loss.depth),
-            total: f64::from(s.loss.total),
-        })
-        .collect())
 }
 
 fn views(run: &RunFolder, model: &GaussianModel, holdout: usize) -> Result<Vec<ViewPair>, Error> {

@@ -7,7 +7,7 @@ use crate::networks::Networks;
 use crate::settings::poses_defaults;
 use crate::stages::{FramesRequest, GaussiansRequest, frames, gaussians, masks};
 use crate::{Device, Error, MasksSource, device};
-use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, atomic};
+use sms_core::{CoreError, Hash, Hasher, InputError, RunFolder, Seed, atomic};
 use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence};
 use sms_gaussians::{Preset, ScanConfig, ScanObserver};
 use sms_masks::{
@@ -87,7 +87,10 @@ impl Run<'_> {
         let (frames_hash, sequence) = self.frames_stage(&run, &opened, request, &settings)?;
         // Written only after the recording was accepted: a refused one must not change an earlier run.
         let recorded = RunSettings {
-            recording: std::path::absolute(recording).map_err(unusable(recording))?.display().to_string(),
+            recording: std::path::absolute(recording)
+                .map_err(CoreError::read(recording))?
+                .display()
+                .to_string(),
             seed: request.seed().0,
             preset: request.preset.name().into(),
             masks: request.masks.name().into(),
@@ -174,17 +177,13 @@ impl Run<'_> {
             run.record_settings("masks", geometry)?;
         }
         let dir = run_stage(self.context, run, "masks", &hash, |stage, warnings| {
-            let found;
-            let segmenter: &dyn Segmenter = match (source, &networks) {
-                (_, Some(networks)) => {
-                    found = networks.segmenter(self.context, stage.dir(), run.root());
-                    &found
-                }
-                (MasksSource::Files, _) => &FileMasks::default(),
-                (MasksSource::Truth, _) => &TruthMasks,
-                _ => &GeometryMasks { config: geometry.clone() },
+            let segmenter: Box<dyn Segmenter + '_> = match (source, &networks) {
+                (_, Some(networks)) => networks.segmenter(self.context, stage.dir(), run.root()),
+                (MasksSource::Files, _) => Box::new(FileMasks::default()),
+                (MasksSource::Truth, _) => Box::new(TruthMasks),
+                _ => Box::new(GeometryMasks { config: geometry.clone() }),
             };
-            let made = masks(sequence, segmenter, geometry, self.context.stage(warnings, request.seed()))?;
+            let made = masks(sequence, &*segmenter, geometry, self.context.stage(warnings, request.seed()))?;
             save_labels(stage.dir(), &made.labels)?;
             let mut metrics = made.metrics(source.name());
             if let Some(networks) = &networks {
@@ -246,7 +245,7 @@ fn up_direction(up: [f64; 3]) -> Result<[f64; 3], InputError> {
 /// Returns the content hash of all files of the recording's frames.
 fn fingerprint(recording: &Recording) -> Result<Hash, Error> {
     let mut hasher = Hasher::new();
-    let root = std::path::absolute(&recording.root).map_err(unusable(&recording.root))?;
+    let root = std::path::absolute(&recording.root).map_err(CoreError::read(&recording.root))?;
     hasher.text(&root.display().to_string());
     let statements = (
         recording.depth_unit_m,
@@ -288,8 +287,4 @@ fn hash_file(hasher: &mut Hasher, path: &Path) -> Result<(), Error> {
         hasher.file(path)?;
     }
     Ok(())
-}
-
-fn unusable(path: &Path) -> impl FnOnce(std::io::Error) -> Error + '_ {
-    move |source| sms_core::CoreError::read(path)(source).into()
 }
