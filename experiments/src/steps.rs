@@ -1,8 +1,8 @@
 //! CPU time of a training step on a fixed scene, to compare runs and versions.
 
+use crate::cpu_time::cpu_seconds;
 use sms_core::Seed;
 use sms_core::metrics::Metrics;
-use sms_core::process::cpu_seconds;
 use sms_gaussians::{CpuTrainer, StepTimes, TrainConfig, Trainer, WALL_CLASSES, fill_wall};
 
 /// Gaussians of the fixed scene.
