@@ -19,6 +19,7 @@
 //! ```
 
 mod billiards;
+mod bootstrap;
 mod cpu_time;
 mod disturb;
 mod engines;

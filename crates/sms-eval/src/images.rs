@@ -1,10 +1,10 @@
 //! Rendered held-out views, compared with the observed frames and with the truth.
 
-use crate::label_matching::Overlaps;
-use crate::label_matching::UNMATCHED;
+use crate::label_matching::{Overlaps, UNMATCHED};
+use crate::statistics::{mean, rank};
 use crate::truth::TrueView;
 use serde::{Deserialize, Serialize};
-use sms_core::{ColorImage, DepthImage, Image, LabelMap, QuantileRule, quantile};
+use sms_core::{ColorImage, DepthImage, Image, LabelMap};
 use sms_gaussians::RenderedMaps;
 
 /// Accumulated opacity above which a pixel counts as covered.
@@ -108,11 +108,9 @@ impl DepthErrors {
 
     /// Returns the scores over all added views.
     pub fn scores(&self) -> DepthScores {
-        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
-        let median = quantile(&mut self.errors.clone(), 0.5, QuantileRule::Nearest);
         DepthScores {
             mae_m: mean(&self.errors),
-            median_m: median.unwrap_or(f64::NAN),
+            median_m: rank(&mut self.errors.clone(), 0.5),
             inner_mae_m: mean(&self.inner),
             measured_mae_m: mean(&self.measured),
             coverage: self.errors.len() as f64 / self.countable.max(1) as f64,
@@ -163,7 +161,7 @@ pub fn mean_iou(pairs: &[(&LabelMap, &TrueView)], truth_of: &[u16], classes: usi
         }
     }
     let ious: Vec<f64> = (0..classes).filter(|&k| occurs[k]).map(|k| overlaps.iou(k, k)).collect();
-    ious.iter().sum::<f64>() / ious.len() as f64
+    mean(&ious)
 }
 
 #[cfg(test)]
