@@ -96,17 +96,17 @@ impl ObjectScores {
     }
 }
 
-/// The known surface for a comparison, in the world.
+/// A surface to be compared or matched, in the world.
 #[derive(Debug, Clone, Copy)]
 pub enum KnownSurface<'a> {
     /// Points of a scanner, dense enough that the distance to the nearest point is the distance to the surface.
     Cloud(&'a PointCloud),
-    /// An exact mesh.
+    /// A mesh.
     Mesh(&'a Mesh),
 }
 
 impl KnownSurface<'_> {
-    fn index(&self) -> Option<SurfaceIndex> {
+    pub(crate) fn index(&self) -> Option<SurfaceIndex> {
         match self {
             Self::Cloud(cloud) => SurfaceIndex::of_points(&cloud.points_w),
             Self::Mesh(mesh) => SurfaceIndex::new(mesh),

@@ -49,7 +49,7 @@ mod surface_scores;
 mod truth;
 
 pub use align::{align_cameras, pose_difference, refine_on_surfaces};
-pub use assignment::{MatchSurface, least_cost_assignment, match_objects};
+pub use assignment::{least_cost_assignment, match_objects};
 pub use entity_scores::{SURFACE_SAMPLES, solid_figures, surface_figures};
 pub use evaluate::{
     EvaluateError, EvaluateSettings, KnownObject, KnownSurface, ObjectScores, compare_sphere,
