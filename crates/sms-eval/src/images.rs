@@ -5,36 +5,6 @@ use crate::statistics::{mean, rank};
 use crate::truth::TrueView;
 use serde::{Deserialize, Serialize};
 use sms_core::{ColorImage, DepthImage, Image, LabelMap};
-use sms_gaussians::RenderedMaps;
-
-/// Accumulated opacity above which a pixel counts as covered.
-pub const COVERED: f32 = 0.5;
-
-/// A rendered view of a reconstruction.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ShownView {
-    /// Colour, 0 to 1 (not rounded to 8 bits).
-    pub color: Image<[f32; 3]>,
-    /// Depth in metres, 0 for empty pixels.
-    pub depth: DepthImage,
-    /// Label of the masks, 0 for empty pixels; `None` when the reconstruction has no labels.
-    pub label: Option<LabelMap>,
-}
-
-impl ShownView {
-    /// Converts rendered maps. Pixels with less opacity than [`COVERED`] have no depth and the background's label.
-    pub fn of_maps(maps: &RenderedMaps) -> Self {
-        let (w, h) = (maps.width, maps.height);
-        let covered = |i: usize| maps.alpha[i] >= COVERED;
-        let depth = (0..w * h).map(|i| if covered(i) { maps.depth[i] } else { 0.0 }).collect();
-        let label = (0..w * h).map(|i| if covered(i) { maps.label[i] } else { 0 }).collect();
-        Self {
-            color: Image::from_vec(w, h, maps.color.clone()),
-            depth: Image::from_vec(w, h, depth),
-            label: Some(Image::from_vec(w, h, label)),
-        }
-    }
-}
 
 /// Peak signal-to-noise ratio over all pixels and channels, decibels.
 pub fn psnr_db(shown: &Image<[f32; 3]>, observed: &ColorImage) -> f64 {
@@ -54,7 +24,7 @@ pub fn psnr_db(shown: &Image<[f32; 3]>, observed: &ColorImage) -> f64 {
 /// Depth errors collected over views.
 ///
 /// A pixel counts if its true depth lies within the range of depths that the camera measured anywhere in the frame,
-/// which excludes the distant floor. Counted pixels with a rendered depth (accumulated opacity of at least [`COVERED`])
+/// which excludes the distant floor. Counted pixels with a rendered depth (accumulated opacity of at least one half)
 /// have an error; the others lower the coverage.
 #[derive(Debug, Clone, Default)]
 pub struct DepthErrors {

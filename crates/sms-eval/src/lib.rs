@@ -9,7 +9,6 @@
 //! - **Surfaces**: points on the discs of an object's Gaussians ([`disc_points`]) compared with its true surface
 //!   ([`score_labelled`]). The score of a scene is the mean over its objects.
 //! - **Entities**: [`surface_figures`], [`solid_figures`], [`placed_figures`].
-//! - **Disturbed poses**: [`align_cameras`] and [`refine_on_surfaces`] align a result rigidly before it is measured.
 //! - **Physics engines**: [`closed_form`] experiments.
 //!
 //! ```
@@ -32,7 +31,6 @@
 //! assert!((scores.median_m - 0.002).abs() < 1e-12 && scores.f1 == 1.0 && F1_M == 0.0025);
 //! ```
 
-mod align;
 mod assignment;
 pub mod closed_form;
 mod entity_scores;
@@ -48,14 +46,13 @@ mod surface_index;
 mod surface_scores;
 mod truth;
 
-pub use align::{align_cameras, pose_difference, refine_on_surfaces};
 pub use assignment::{least_cost_assignment, match_objects};
 pub use entity_scores::{SURFACE_SAMPLES, solid_figures, surface_figures};
 pub use evaluate::{
     EvaluateError, EvaluateSettings, KnownObject, KnownSurface, ObjectScores, compare_sphere,
     evaluate_object, read_known_objects,
 };
-pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
+pub use images::{DepthErrors, DepthScores, mean_iou, psnr_db};
 pub use label_matching::{Overlaps, UNMATCHED, match_labels};
 pub use mask_scores::{FOUND_IOU, MaskScores, MaskedObject, score_masks};
 pub use overlap::collision_solids;
