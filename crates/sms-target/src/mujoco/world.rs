@@ -51,10 +51,10 @@ pub(super) struct MujocoWorld {
     /// Time since the poses of the scene's bodies were noted, seconds, and these poses.
     elapsed_s: f64,
     places: Vec<DPose3>,
-    kinematics: Vec<Kinematic>,
+    kinematics: Vec<MujocoKinematic>,
     /// A body with which MuJoCo refuses the model; the world is unusable then.
     failed: Option<BodyId>,
-    saved: Option<Saved>,
+    saved: Option<MujocoSnapshot>,
 }
 
 #[derive(Clone, Copy)]
@@ -68,7 +68,7 @@ struct BodyInfo {
 }
 
 #[derive(Clone)]
-struct Kinematic {
+struct MujocoKinematic {
     body: BodyId,
     spec: KinematicSpec,
     /// Current mass of a tool; the model's mass follows when the tool comes near a body.
@@ -76,14 +76,14 @@ struct Kinematic {
     target_x_wk: DPose3,
 }
 
-struct Saved {
+struct MujocoSnapshot {
     q: Vec<f64>,
     v: Vec<f64>,
     a: Vec<f64>,
     asleep: Vec<bool>,
     elapsed_s: f64,
     places: Vec<DPose3>,
-    kinematics: Vec<Kinematic>,
+    kinematics: Vec<MujocoKinematic>,
 }
 
 /// A model and its bodies.
@@ -239,10 +239,10 @@ impl MujocoWorld {
                 && then.rotation.angle_between(now.rotation) < TURNED_RAD
         };
         let (mut still, mut restless): (Vec<BodyId>, Vec<BodyId>) = awake.into_iter().partition(stays);
-        let tools: Vec<&Kinematic> = self.kinematics.iter().filter(|k| k.spec.enabled).collect();
+        let tools: Vec<&MujocoKinematic> = self.kinematics.iter().filter(|k| k.spec.enabled).collect();
         let beside_tool = |&body: &BodyId| {
             let x_wb = self.state(body).x_wb;
-            let near = |k: &&Kinematic| {
+            let near = |k: &&MujocoKinematic| {
                 let tool = self.state(k.body);
                 let margin = WAKE_M + tool.v_w.length() * dt;
                 self.bounds[body].is_near(&x_wb, k.spec.shape, &tool.x_wb, margin)
@@ -308,7 +308,7 @@ impl MujocoWorld {
         self.wrenches.extend([0.0; 6]);
         let x_wb = spec.x_wk;
         self.bodies.push(BodyInfo { joint: Some(joint), com: DVec3::ZERO, x_wb });
-        self.kinematics.push(Kinematic { body, spec, mass: spec.mass, target_x_wk: x_wb });
+        self.kinematics.push(MujocoKinematic { body, spec, mass: spec.mass, target_x_wk: x_wb });
         self.put(body, &BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO });
         self.recompile_for(body);
         body
@@ -328,7 +328,7 @@ impl MujocoWorld {
         }
     }
 
-    fn is_near(&self, k: &Kinematic, dt: f64) -> bool {
+    fn is_near(&self, k: &MujocoKinematic, dt: f64) -> bool {
         let tool = self.state(k.body);
         self.bounds.iter().enumerate().any(|(body, bounds)| {
             let state = self.state(body);
@@ -541,7 +541,7 @@ impl World for MujocoWorld {
     }
 
     fn save(&mut self) -> bool {
-        self.saved = Some(Saved {
+        self.saved = Some(MujocoSnapshot {
             q: self.q.clone(),
             v: self.v.clone(),
             a: self.a.clone(),
