@@ -1,9 +1,10 @@
 //! `sms-experiments engines`: the same shots in every engine, and how far apart they end.
 
+use crate::bootstrap::median;
 use crate::{BenchError, PlanScene};
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, InputError, Progress};
-use sms_eval::{mean, median};
+use sms_eval::mean;
 use sms_plan::PlanError;
 use sms_scene::{BodyKind, BodyShape};
 use sms_sim::{RapierFactory, WorldFactory, WorldOptions};

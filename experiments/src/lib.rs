@@ -18,7 +18,10 @@
 //! assert_eq!(part_of(vec![1001, 1002, 1003, 1004], (2, 2)), [1002, 1004]);
 //! ```
 
+mod align;
 mod billiards;
+mod bootstrap;
+mod cpu_time;
 mod disturb;
 mod engines;
 mod error;
@@ -47,6 +50,7 @@ mod scenes;
 mod score;
 mod seed_parts;
 mod shards;
+mod shown_view;
 mod solvability;
 mod stacked;
 mod steps;
@@ -100,6 +104,7 @@ pub use scenes::{
 pub use score::{score_files, write_points, write_view};
 pub use seed_parts::{merge_optimisers, merge_plan_speed};
 pub use shards::{Merged, Shard, merge_shards, part_of};
+pub use shown_view::ShownView;
 pub use solvability::{Solvability, SolvabilityBench, run_solvability};
 pub use stacked::Structure;
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};

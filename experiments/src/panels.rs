@@ -1,7 +1,7 @@
 //! A picture of one held-out view: observed, rendered, depth error, labels.
 
+use crate::ShownView;
 use sms_core::{ColorImage, CoreError, DepthImage, Image, write_png_color};
-use sms_eval::ShownView;
 use sms_report::{error_picture, label_picture};
 use std::path::Path;
 

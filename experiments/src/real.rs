@@ -1,13 +1,13 @@
 //! Metrics of real recordings, which have no complete truth.
 
-use crate::BenchError;
 use crate::panels::write_panel;
 use crate::reference::ScannedScene;
+use crate::{BenchError, ShownView};
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::{BACKGROUND, EntityKind, Image, PointCloud, StageContext, Warnings};
 use sms_eval::TrueView;
-use sms_eval::{DepthErrors, ShownView, psnr_db};
+use sms_eval::{DepthErrors, psnr_db};
 use sms_eval::{DiscSampling, disc_points, score_surface};
 use sms_eval::{EvaluateSettings, KnownSurface, SurfaceIndex, evaluate_object, read_known_objects};
 use sms_gaussians::Trainer;

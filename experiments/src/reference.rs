@@ -4,7 +4,8 @@ use crate::options::BenchOptions;
 use crate::prepare::Prepared;
 use sms_core::Camera;
 use sms_eval::{
-    Overlaps, SurfacePoint, TrueSurface, carried, match_labels, observed_surface, true_surfaces, true_views,
+    Overlaps, SurfacePoint, TrueSurface, carried, match_labels, observed_surface_at_most, true_surfaces,
+    true_views,
 };
 use sms_gaussians::GaussianModel;
 use std::path::Path;
@@ -43,7 +44,7 @@ impl Yardstick {
         let camera = |i: usize| carried(&prepared.true_cameras[i], &prepared.x_tw());
         let surfaces = true_surfaces(scene);
         let trained: Vec<Camera> = prepared.trained(holdout).into_iter().map(camera).collect();
-        let observed = observed_surface(&surfaces, &trained);
+        let observed = observed_surface_at_most(&surfaces, &trained, usize::MAX);
         let held_out = prepared.held_out(holdout);
         let views = true_views(scene, &held_out.iter().map(|&i| camera(i)).collect::<Vec<_>>());
         let held_out: Vec<_> = held_out.into_iter().zip(views).collect();

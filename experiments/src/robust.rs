@@ -1,9 +1,9 @@
 //! `sms-experiments robust`: objectives of plans in worlds that differ from the planner's.
 
+use crate::cpu_time::thread_cpu_seconds;
 use crate::robust_table::summarise;
 use crate::{BenchError, MaterialPrior, PlanScene, SceneFamily, TrueWorlds};
 use sms_core::metrics::Metrics;
-use sms_core::process::thread_cpu_seconds;
 use sms_core::{Cancel, Hash, InputError, Progress, Seed, StageContext, Warnings, hash_serializable};
 use sms_plan::{Perturbation, PlanConfig, plan, search_nominal};
 use sms_sim::{RapierFactory, WorldFactory};

@@ -1,9 +1,9 @@
 //! The figures of `sms-experiments robust` over all scenes, and as a table.
 
 use crate::RobustBench;
+use crate::bootstrap::paired_ratio;
 use crate::robust::{ORACLE, PLAIN};
 use sms_core::metrics::Metrics;
-use sms_eval::paired_ratio;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 

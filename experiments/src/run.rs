@@ -1,6 +1,6 @@
 //! One scene: prepared, scanned, measured.
 
-use crate::BenchError;
+use crate::align::{align_cameras, pose_difference, refine_on_surfaces};
 use crate::options::BenchOptions;
 use crate::panels::write_panel;
 use crate::prepare::{Prepared, prepare};
@@ -10,6 +10,7 @@ use crate::scenes::BenchScene;
 use crate::score::{write_points, write_view};
 use crate::steps::{fixed_step_cpu_ms, step_shares};
 use crate::timer::Timer;
+use crate::{BenchError, ShownView};
 use glamx::{DPose3, DVec3};
 use serde::Serialize;
 use sms_core::metrics::Metrics;
@@ -17,12 +18,11 @@ use sms_core::process;
 use sms_core::{CoreError, EntityKind, Seed, StageContext, atomic};
 use sms_eval::carried;
 use sms_eval::sample_surface;
-use sms_eval::{DepthErrors, ShownView, mean_iou, psnr_db};
+use sms_eval::{DepthErrors, mean_iou, psnr_db};
 use sms_eval::{
     DiscSampling, LabelledPoint, SceneScores, UNMATCHED, disc_points, is_near, score_cropped, score_labelled,
     stray_share,
 };
-use sms_eval::{align_cameras, pose_difference, refine_on_surfaces};
 use sms_gaussians::{CpuTrainer, GaussianModel, TrainConfig, Trainer};
 use sms_pipeline::stages::{self, GaussiansRequest};
 use std::path::Path;

@@ -1,15 +1,15 @@
 //! Somebody else's reconstruction of an exported scene, measured by the same functions as ours.
 
-use crate::BenchError;
+use crate::align::{align_cameras, refine_on_surfaces};
 use crate::export::{Exported, decode_depth, pose_of_opengl, pose_of_rows, read_export};
+use crate::{BenchError, ShownView};
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
 use sms_core::ply::{self, VertexColumn};
 use sms_core::{InputError, Mesh, Seed, read_png_color, read_png_gray16};
 use sms_eval::sample_surface;
-use sms_eval::{DepthErrors, ShownView, mean_iou, psnr_db};
+use sms_eval::{DepthErrors, mean_iou, psnr_db};
 use sms_eval::{LabelledPoint, SceneScores, UNMATCHED, score_cropped, score_labelled, stray_share};
-use sms_eval::{align_cameras, refine_on_surfaces};
 use std::path::Path;
 
 /// Points per square metre of sampled meshes, the same as for ours.

@@ -1,8 +1,8 @@
 //! Merges figures of seeds that ran separately into those of one run.
 
 use crate::OptimiserBench;
+use crate::bootstrap::{median, paired_difference};
 use sms_core::metrics::Metrics;
-use sms_eval::{median, paired_difference};
 
 /// The figures of [`crate::run_optimisers`] over all seeds, of those of one seed each in the order of `bench.seeds`.
 pub fn merge_optimisers(bench: &OptimiserBench, each: &[Metrics]) -> Metrics {

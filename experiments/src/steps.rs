@@ -1,9 +1,9 @@
 //! CPU time of a training step on a fixed scene, to compare runs and versions.
 
+use crate::cpu_time::cpu_seconds;
 use crate::wall::{WALL_CLASSES, fill_wall};
 use sms_core::Seed;
 use sms_core::metrics::Metrics;
-use sms_core::process::cpu_seconds;
 use sms_gaussians::{CpuTrainer, StepTimes, TrainConfig, Trainer};
 
 /// Gaussians of the fixed scene.

@@ -58,13 +58,8 @@ pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), CoreError>
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, CoreError> {
     let text = std::fs::read_to_string(path).map_err(CoreError::read(path))?;
     serde_json::from_str(&text).map_err(|e| {
-        InputError::new(
-            "this JSON file does not have the expected content",
-            path,
-            "restore or regenerate the file",
-        )
-        .because(e)
-        .into()
+        let what = "this JSON file does not have the expected content";
+        InputError::new(what, path, "restore or regenerate the file").because(e).into()
     })
 }
 

@@ -32,20 +32,7 @@ impl<const N: usize> Cholesky<N> {
 
     /// Solves A x = b in place.
     pub fn solve(&self, b: &mut [f64]) {
-        for i in 0..self.n {
-            let mut sum = b[i];
-            for k in 0..i {
-                sum -= self.l[i][k] * b[k];
-            }
-            b[i] = sum / self.l[i][i];
-        }
-        for i in (0..self.n).rev() {
-            let mut sum = b[i];
-            for k in i + 1..self.n {
-                sum -= self.l[k][i] * b[k];
-            }
-            b[i] = sum / self.l[i][i];
-        }
+        self.solve_each(b.as_chunks_mut::<1>().0);
     }
 
     /// Solves A X = B in place for `M` right sides at once; row i of B holds entry i of each. The result equals that of

@@ -94,21 +94,13 @@ impl MassProperties {
     /// into the geometry's frame. Diagonalised at unit scale: the solver's tolerances would swallow the inertia of a
     /// small body, 1e-6 kg·m².
     pub fn principal(&self) -> (DVec3, DQuat) {
-        let scale = self.inertia.x_axis.x + self.inertia.y_axis.y + self.inertia.z_axis.z;
+        let scale = trace(self.inertia);
         let eigen = glamx::DSymmetricEigen3::new(self.inertia * (1.0 / scale));
         let mut axes = eigen.eigenvectors;
         if axes.determinant() < 0.0 {
             axes = DMat3::from_cols(axes.x_axis, axes.y_axis, -axes.z_axis);
         }
         (eigen.eigenvalues * scale, DQuat::from_mat3(&axes).normalize())
-    }
-
-    /// Scales the body to another mass at the same shape.
-    ///
-    /// # Errors
-    /// [`InertiaError::Mass`] when the mass is not positive.
-    pub fn with_mass(&self, mass: f64) -> Result<Self, InertiaError> {
-        Self::new(mass, self.com, self.inertia * (mass / self.mass))
     }
 }
 

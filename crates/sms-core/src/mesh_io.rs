@@ -5,8 +5,11 @@ use glamx::DVec3;
 use std::path::Path;
 
 impl Mesh {
-    /// Formats the mesh as OBJ text: metres, 1-based indices, vertex colours in [0, 1] if present.
-    pub fn to_obj(&self) -> String {
+    /// Writes OBJ atomically: metres, 1-based indices, vertex colours in [0, 1] if present.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`].
+    pub fn write_obj(&self, path: &Path) -> Result<(), CoreError> {
         use std::fmt::Write;
         let mut text = String::with_capacity(self.vertices.len() * 40 + self.triangles.len() * 20);
         for (i, v) in self.vertices.iter().enumerate() {
@@ -20,15 +23,7 @@ impl Mesh {
         for [a, b, c] in &self.triangles {
             let _ = writeln!(text, "f {} {} {}", a + 1, b + 1, c + 1);
         }
-        text
-    }
-
-    /// Writes OBJ atomically.
-    ///
-    /// # Errors
-    /// [`CoreError::Write`].
-    pub fn write_obj(&self, path: &Path) -> Result<(), CoreError> {
-        atomic::write_bytes(path, self.to_obj().as_bytes())
+        atomic::write_bytes(path, text.as_bytes())
     }
 
     /// Reads vertices, vertex colours and faces of an OBJ file. Polygons are fanned; texture and normal indices and materials
@@ -41,11 +36,8 @@ impl Mesh {
         let mut mesh = Self::default();
         for (number, line) in text.lines().enumerate() {
             let bad = || {
-                InputError::new(
-                    format!("line {} of this OBJ is invalid", number + 1),
-                    path,
-                    "export the mesh again",
-                )
+                let what = format!("line {} of this OBJ is invalid", number + 1);
+                InputError::new(what, path, "export the mesh again")
             };
             let mut words = line.split_whitespace();
             match words.next() {

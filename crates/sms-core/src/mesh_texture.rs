@@ -47,17 +47,10 @@ fn textured_obj(mesh: &Mesh, texture: &MeshTexture, library: &str, material: &st
         let _ = writeln!(text, "vt {u:.6} {v:.6}");
     }
     let _ = writeln!(text, "usemtl {material}");
-    for (t, uv) in mesh.triangles.iter().zip(&corners) {
-        let _ = writeln!(
-            text,
-            "f {}/{} {}/{} {}/{}",
-            t[0] + 1,
-            uv[0] + 1,
-            t[1] + 1,
-            uv[1] + 1,
-            t[2] + 1,
-            uv[2] + 1
-        );
+    for (triangle, uv) in mesh.triangles.iter().zip(&corners) {
+        let [a, b, c] = triangle.map(|i| i + 1);
+        let [uv_a, uv_b, uv_c] = uv.map(|i| i + 1);
+        let _ = writeln!(text, "f {a}/{uv_a} {b}/{uv_b} {c}/{uv_c}");
     }
     text
 }

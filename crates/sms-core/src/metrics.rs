@@ -1,6 +1,7 @@
 //! `metrics.json`: one flat object, SI units, stable keys (documented in `docs/metrics.md`).
 
 use crate::{CoreError, atomic};
+use serde::Serialize;
 use serde_json::{Map, Value};
 use std::path::Path;
 
@@ -12,6 +13,12 @@ impl Metrics {
     /// Creates an empty set.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// Returns the fields of a struct as metrics `<prefix>.<field>`.
+    pub fn of_fields(prefix: &str, fields: &impl Serialize) -> Self {
+        let Ok(Value::Object(fields)) = serde_json::to_value(fields) else { return Self::new() };
+        Self(fields.into_iter().map(|(key, value)| (format!("{prefix}.{key}"), value)).collect())
     }
 
     /// Sets one metric. A number that is not finite is stored as null.

@@ -48,9 +48,10 @@ impl Progress for NoProgress {
     fn end(&self, _message: &str) {}
 }
 
-/// The current part of the work.
+/// The current part of the work, reported as lines.
 struct CurrentPart {
     out: Box<dyn Write + Send>,
+    every: Duration,
     name: String,
     units: u64,
     began: Instant,
@@ -59,9 +60,9 @@ struct CurrentPart {
 }
 
 impl CurrentPart {
-    fn new(out: Box<dyn Write + Send>) -> Self {
+    fn new(out: Box<dyn Write + Send>, every: Duration) -> Mutex<Self> {
         let now = Instant::now();
-        Self { out, name: String::new(), units: 0, began: now, last: now }
+        Mutex::new(Self { out, every, name: String::new(), units: 0, began: now, last: now })
     }
 
     fn begin(&mut self, name: &str, units: u64) {
@@ -70,8 +71,8 @@ impl CurrentPart {
     }
 
     /// Returns whether the last line is at least `every` ago, and restarts the interval if so.
-    fn is_due(&mut self, every: Duration) -> bool {
-        let due = self.last.elapsed() >= every;
+    fn is_due(&mut self) -> bool {
+        let due = self.last.elapsed() >= self.every;
         if due {
             self.last = Instant::now();
         }
@@ -84,21 +85,20 @@ impl CurrentPart {
     }
 }
 
-/// Writes plain lines, at most one every few seconds: for logs and pipes.
-pub struct PlainProgress {
-    part: Mutex<CurrentPart>,
-    every: Duration,
+impl std::fmt::Debug for CurrentPart {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("CurrentPart").field("every", &self.every).finish_non_exhaustive()
+    }
 }
+
+/// Writes plain lines, at most one every few seconds: for logs and pipes.
+#[derive(Debug)]
+pub struct PlainProgress(Mutex<CurrentPart>);
 
 impl PlainProgress {
     /// Writes lines to standard error, at most every `every`.
     pub fn new(every: Duration) -> Self {
-        Self::to(Box::new(std::io::stderr()), every)
-    }
-
-    /// Writes lines to `out`.
-    pub fn to(out: Box<dyn Write + Send>, every: Duration) -> Self {
-        Self { part: Mutex::new(CurrentPart::new(out)), every }
+        Self(CurrentPart::new(Box::new(std::io::stderr()), every))
     }
 }
 
@@ -108,22 +108,16 @@ impl Default for PlainProgress {
     }
 }
 
-impl std::fmt::Debug for PlainProgress {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("PlainProgress").field("every", &self.every).finish_non_exhaustive()
-    }
-}
-
 impl Progress for PlainProgress {
     fn begin(&self, part: &str, units: u64) {
-        let Ok(mut state) = self.part.lock() else { return };
+        let Ok(mut state) = self.0.lock() else { return };
         state.begin(part, units);
         state.line(format_args!("{part} …"));
     }
 
     fn update(&self, done: u64, message: &str) {
-        let Ok(mut state) = self.part.lock() else { return };
-        if !state.is_due(self.every) {
+        let Ok(mut state) = self.0.lock() else { return };
+        if !state.is_due() {
             return;
         }
         let left = linear_seconds_left(state.began.elapsed().as_secs_f64(), done, state.units);
@@ -132,8 +126,8 @@ impl Progress for PlainProgress {
     }
 
     fn status(&self, status: &Status<'_>) {
-        let Ok(mut state) = self.part.lock() else { return };
-        if !state.is_due(self.every) {
+        let Ok(mut state) = self.0.lock() else { return };
+        if !state.is_due() {
             return;
         }
         let percent = 100 * status.done.min(state.units) / state.units.max(1);
@@ -143,7 +137,7 @@ impl Progress for PlainProgress {
     }
 
     fn end(&self, message: &str) {
-        let Ok(mut state) = self.part.lock() else { return };
+        let Ok(mut state) = self.0.lock() else { return };
         let seconds = state.began.elapsed().as_secs_f64();
         let line = format!("{}: {message} ({seconds:.1} s)", state.name);
         state.line(line);
@@ -158,26 +152,13 @@ fn left_text(seconds_left: Option<f64>) -> String {
 ///
 /// Each has `event` (`begin`, `update` or `end`), `part`, `units`, `seconds` since the part began and `message`;
 /// updates also have `done`, `seconds_left` (null if unknown) and the part's own figures.
-pub struct JsonProgress {
-    part: Mutex<CurrentPart>,
-    every: Duration,
-}
+#[derive(Debug)]
+pub struct JsonProgress(Mutex<CurrentPart>);
 
 impl JsonProgress {
     /// Writes to standard error; updates at most every `every`.
     pub fn new(every: Duration) -> Self {
-        Self::to(Box::new(std::io::stderr()), every)
-    }
-
-    /// Writes lines to `out`.
-    pub fn to(out: Box<dyn Write + Send>, every: Duration) -> Self {
-        Self { part: Mutex::new(CurrentPart::new(out)), every }
-    }
-}
-
-impl std::fmt::Debug for JsonProgress {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("JsonProgress").field("every", &self.every).finish_non_exhaustive()
+        Self(CurrentPart::new(Box::new(std::io::stderr()), every))
     }
 }
 
@@ -196,13 +177,13 @@ impl CurrentPart {
 
 impl Progress for JsonProgress {
     fn begin(&self, part: &str, units: u64) {
-        let Ok(mut state) = self.part.lock() else { return };
+        let Ok(mut state) = self.0.lock() else { return };
         state.begin(part, units);
         state.json("begin", "", |_| {});
     }
 
     fn update(&self, done: u64, message: &str) {
-        let seconds_left = match self.part.lock() {
+        let seconds_left = match self.0.lock() {
             Ok(state) => linear_seconds_left(state.began.elapsed().as_secs_f64(), done, state.units),
             Err(_) => return,
         };
@@ -210,8 +191,8 @@ impl Progress for JsonProgress {
     }
 
     fn status(&self, status: &Status<'_>) {
-        let Ok(mut state) = self.part.lock() else { return };
-        if !state.is_due(self.every) {
+        let Ok(mut state) = self.0.lock() else { return };
+        if !state.is_due() {
             return;
         }
         state.json("update", status.message, |object| {
@@ -224,7 +205,7 @@ impl Progress for JsonProgress {
     }
 
     fn end(&self, message: &str) {
-        let Ok(mut state) = self.part.lock() else { return };
+        let Ok(mut state) = self.0.lock() else { return };
         state.json("end", message, |_| {});
     }
 }
@@ -265,7 +246,7 @@ mod tests {
     #[test]
     fn plain_lines_tell_share_message_and_time_left_and_are_rare() {
         let out = Written::default();
-        let progress = PlainProgress::to(Box::new(out.clone()), Duration::ZERO);
+        let progress = PlainProgress(CurrentPart::new(Box::new(out.clone()), Duration::ZERO));
         progress.begin("scan", 120);
         progress.status(&STATUS);
         progress.end("done");
@@ -274,7 +255,7 @@ mod tests {
         assert_eq!(lines[1], "scan 25 %: frame 2/5, colour 0.021, about 2 min 10 s left");
         assert!(lines[2].starts_with("scan: done ("), "{lines:?}");
         let out = Written::default();
-        let progress = PlainProgress::to(Box::new(out.clone()), Duration::from_secs(3600));
+        let progress = PlainProgress(CurrentPart::new(Box::new(out.clone()), Duration::from_secs(3600)));
         progress.begin("scan", 120);
         (0..100).for_each(|_| progress.status(&STATUS));
         assert_eq!(out.lines().len(), 1);
@@ -283,7 +264,7 @@ mod tests {
     #[test]
     fn json_lines_hold_the_figures() {
         let out = Written::default();
-        let progress = JsonProgress::to(Box::new(out.clone()), Duration::ZERO);
+        let progress = JsonProgress(CurrentPart::new(Box::new(out.clone()), Duration::ZERO));
         progress.begin("scan", 120);
         progress.status(&STATUS);
         progress.update(60, "a \"quoted\" word");

@@ -38,10 +38,8 @@ pub enum StageState {
 #[derive(Debug)]
 pub struct Stage {
     name: String,
-    inputs: Hash,
     work: PathBuf,
     done: PathBuf,
-    resumed: bool,
 }
 
 impl RunFolder {
@@ -160,8 +158,7 @@ impl RunFolder {
         if !force && same(&done) {
             return Ok(StageState::Done(done));
         }
-        let resumed = !force && same(&work);
-        if resumed {
+        if !force && same(&work) {
             atomic::remove_leftovers(&work);
         } else {
             if work.exists() {
@@ -172,7 +169,7 @@ impl RunFolder {
                 StageRecord { stage: name.to_owned(), inputs: inputs.clone(), program: program().to_owned() };
             atomic::write_json(&work.join(RECORD), &record)?;
         }
-        Ok(StageState::Todo(Stage { name: name.to_owned(), inputs: inputs.clone(), work, done, resumed }))
+        Ok(StageState::Todo(Stage { name: name.to_owned(), work, done }))
     }
 
     /// Records the settings of a stage in `run.toml`, under the stage's name; other stages are kept.
@@ -215,21 +212,6 @@ impl Stage {
     /// Returns the folder to write into; it holds checkpoints if the stage is resumed.
     pub fn dir(&self) -> &Path {
         &self.work
-    }
-
-    /// Returns whether the stage resumes an interrupted attempt with the same inputs.
-    pub fn is_resumed(&self) -> bool {
-        self.resumed
-    }
-
-    /// Returns the stage's name.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Returns the hash of the inputs.
-    pub fn inputs(&self) -> &Hash {
-        &self.inputs
     }
 
     /// Makes the work the stage's result; the earlier result is removed after the new one is in place.
@@ -312,15 +294,14 @@ mod tests {
         let run = RunFolder::create(dir.path()).unwrap();
         let (a, b) = (hash_serializable(&1), hash_serializable(&2));
         let stage = todo(run.begin("scan", &a, false).unwrap());
-        assert!(!stage.is_resumed());
         atomic::write_bytes(&stage.dir().join("checkpoint.bin"), b"half").unwrap();
         drop(stage);
         let stage = todo(run.begin("scan", &a, false).unwrap());
-        assert!(stage.is_resumed() && stage.dir().join("checkpoint.bin").exists());
+        assert!(stage.dir().join("checkpoint.bin").exists());
         stage.commit().unwrap();
         assert!(matches!(run.begin("scan", &a, false).unwrap(), StageState::Done(_)));
         let changed = todo(run.begin("scan", &b, false).unwrap());
-        assert!(!changed.is_resumed() && !changed.dir().join("checkpoint.bin").exists());
+        assert!(!changed.dir().join("checkpoint.bin").exists());
         assert!(
             run.stage_dir("scan", "scan").is_ok(),
             "the earlier result stays whole until the new one is done"

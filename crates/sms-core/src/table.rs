@@ -2,8 +2,8 @@
 
 use crate::{CoreError, InputError, atomic};
 use parquet::basic::{LogicalType, Repetition, Type as PhysicalType};
-use parquet::column::reader::ColumnReader;
-use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int32Type};
+use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
+use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int32Type};
 use parquet::errors::ParquetError;
 use parquet::file::properties::WriterProperties;
 use parquet::file::reader::{FileReader, SerializedFileReader};
@@ -66,11 +66,8 @@ pub fn write_table<N: AsRef<str>>(path: &Path, columns: &[(N, Column)]) -> Resul
 fn encode<N: AsRef<str>>(columns: &[(N, Column)]) -> Result<Vec<u8>, ParquetError> {
     let rows = columns.first().map_or(0, |(_, c)| c.len());
     if let Some((name, column)) = columns.iter().find(|(_, c)| c.len() != rows) {
-        return Err(ParquetError::General(format!(
-            "column `{}` has {} rows, not {rows}",
-            name.as_ref(),
-            column.len()
-        )));
+        let (name, found) = (name.as_ref(), column.len());
+        return Err(ParquetError::General(format!("column `{name}` has {found} rows, not {rows}")));
     }
     let fields = columns
         .iter()
@@ -123,21 +120,12 @@ fn decode(file: std::fs::File) -> Result<Vec<(String, Column)>, ParquetError> {
         let rows = group.metadata().num_rows() as usize;
         for c in 0..group.num_columns() {
             let part = match group.get_column_reader(c)? {
-                ColumnReader::DoubleColumnReader(mut r) => {
-                    let mut v = Vec::with_capacity(rows);
-                    r.read_records(rows, None, None, &mut v)?;
-                    Column::F64(v)
-                }
-                ColumnReader::Int32ColumnReader(mut r) => {
-                    let mut v = Vec::with_capacity(rows);
-                    r.read_records(rows, None, None, &mut v)?;
-                    Column::I32(v)
-                }
-                ColumnReader::ByteArrayColumnReader(mut r) => {
-                    let mut v = Vec::with_capacity(rows);
-                    r.read_records(rows, None, None, &mut v)?;
-                    let text = v.iter().map(|b| b.as_utf8().map(str::to_owned)).collect::<Result<_, _>>()?;
-                    Column::Text(text)
+                ColumnReader::DoubleColumnReader(r) => Column::F64(values(r, rows)?),
+                ColumnReader::Int32ColumnReader(r) => Column::I32(values(r, rows)?),
+                ColumnReader::ByteArrayColumnReader(r) => {
+                    let bytes = values(r, rows)?;
+                    let text = bytes.iter().map(|b| b.as_utf8().map(str::to_owned));
+                    Column::Text(text.collect::<Result<_, _>>()?)
                 }
                 _ => return Err(ParquetError::General(format!("column {c} has an unexpected type"))),
             };
@@ -151,6 +139,12 @@ fn decode(file: std::fs::File) -> Result<Vec<(String, Column)>, ParquetError> {
         }
     }
     Ok(columns)
+}
+
+fn values<T: DataType>(mut column: ColumnReaderImpl<T>, rows: usize) -> Result<Vec<T::T>, ParquetError> {
+    let mut values = Vec::with_capacity(rows);
+    column.read_records(rows, None, None, &mut values)?;
+    Ok(values)
 }
 
 #[cfg(test)]

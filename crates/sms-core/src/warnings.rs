@@ -21,6 +21,12 @@ pub struct Warning {
     pub count: usize,
 }
 
+impl Warning {
+    fn key(&self) -> (&str, &str, &str) {
+        (&self.stage, &self.code, &self.message)
+    }
+}
+
 /// Collects warnings from any thread. The same code with the same message is counted, not repeated.
 #[derive(Debug, Default)]
 pub struct Warnings {
@@ -35,23 +41,15 @@ impl Warnings {
 
     /// Adds a warning.
     pub fn add(&self, stage: &str, code: &str, message: impl Into<String>, cure: impl Into<String>) {
-        let (message, cure) = (message.into(), cure.into());
-        let Ok(mut list) = self.list.lock() else { return };
-        match list.iter_mut().find(|w| w.stage == stage && w.code == code && w.message == message) {
-            Some(known) => known.count += 1,
-            None => {
-                list.push(Warning { stage: stage.to_owned(), code: code.to_owned(), message, cure, count: 1 })
-            }
-        }
+        let (stage, code) = (stage.to_owned(), code.to_owned());
+        self.take_over(vec![Warning { stage, code, message: message.into(), cure: cure.into(), count: 1 }]);
     }
 
     /// Adds the warnings of an earlier attempt at the same work, with their counts.
     pub fn take_over(&self, earlier: Vec<Warning>) {
         let Ok(mut list) = self.list.lock() else { return };
         for warning in earlier {
-            match list.iter_mut().find(|w| {
-                (&w.stage, &w.code, &w.message) == (&warning.stage, &warning.code, &warning.message)
-            }) {
+            match list.iter_mut().find(|w| w.key() == warning.key()) {
                 Some(known) => known.count += warning.count,
                 None => list.push(warning),
             }
@@ -61,7 +59,7 @@ impl Warnings {
     /// Returns the warnings so far, ordered by stage, code and message so that it does not depend on threads.
     pub fn snapshot(&self) -> Vec<Warning> {
         let mut list = self.list.lock().map(|l| l.clone()).unwrap_or_default();
-        list.sort_by(|a, b| (&a.stage, &a.code, &a.message).cmp(&(&b.stage, &b.code, &b.message)));
+        list.sort_by(|a, b| a.key().cmp(&b.key()));
         list
     }
 

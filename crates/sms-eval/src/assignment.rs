@@ -1,9 +1,10 @@
 //! Minimum-cost assignment of reconstructed to reference objects.
 
+use crate::evaluate::KnownSurface;
 use crate::surface_index::{SurfaceIndex, sample_surface};
 use glamx::DVec3;
 use rayon::prelude::*;
-use sms_core::{Mesh, Seed};
+use sms_core::Seed;
 
 /// Returns the column of each row of a square cost matrix in an assignment of least cost (Kuhn's "Hungarian method",
 /// with shortest augmenting paths).
@@ -61,15 +62,6 @@ pub fn least_cost_assignment(cost: &[Vec<f64>]) -> Vec<usize> {
     column_of
 }
 
-/// A surface to be matched, in the world.
-#[derive(Debug, Clone, Copy)]
-pub enum MatchSurface<'a> {
-    /// Triangles.
-    Mesh(&'a Mesh),
-    /// Points.
-    Points(&'a [DVec3]),
-}
-
 struct PreparedSurface {
     samples: Vec<DVec3>,
     index: Option<SurfaceIndex>,
@@ -79,20 +71,15 @@ impl PreparedSurface {
     /// Enough samples to distinguish objects.
     const SAMPLES: usize = 400;
 
-    fn new(surface: MatchSurface<'_>) -> Self {
-        match surface {
-            MatchSurface::Mesh(mesh) => Self {
-                samples: sample_surface(mesh, Self::SAMPLES, Seed(0).derive("match")),
-                index: SurfaceIndex::new(mesh),
-            },
-            MatchSurface::Points(points) => {
-                let step = points.len().div_ceil(Self::SAMPLES).max(1);
-                Self {
-                    samples: points.iter().step_by(step).copied().collect(),
-                    index: SurfaceIndex::of_points(points),
-                }
+    fn new(surface: KnownSurface<'_>) -> Self {
+        let samples = match surface {
+            KnownSurface::Mesh(mesh) => sample_surface(mesh, Self::SAMPLES, Seed(0).derive("match")),
+            KnownSurface::Cloud(cloud) => {
+                let step = cloud.points_w.len().div_ceil(Self::SAMPLES).max(1);
+                cloud.points_w.iter().step_by(step).copied().collect()
             }
-        }
+        };
+        Self { samples, index: surface.index() }
     }
 
     /// Mean of the distances between two surfaces, from samples of each; infinite if one has no samples.
@@ -111,8 +98,8 @@ impl PreparedSurface {
 /// pairs of (known, found) are kept; the rest is assigned with the least sum of the distances between the surfaces
 /// (mean of both directions). Pairs farther apart than `reach_m[known]` are not matched.
 pub fn match_objects(
-    known: &[MatchSurface<'_>],
-    found: &[MatchSurface<'_>],
+    known: &[KnownSurface<'_>],
+    found: &[KnownSurface<'_>],
     given: &[(usize, usize)],
     reach_m: &[f64],
 ) -> Vec<Option<usize>> {
@@ -124,7 +111,7 @@ pub fn match_objects(
     }
     let free_known: Vec<usize> = (0..known.len()).filter(|&k| match_of[k].is_none()).collect();
     let free_found: Vec<usize> = (0..found.len()).filter(|&f| !match_of.contains(&Some(f))).collect();
-    let prepare = |all: &[MatchSurface<'_>], of: &[usize]| -> Vec<PreparedSurface> {
+    let prepare = |all: &[KnownSurface<'_>], of: &[usize]| -> Vec<PreparedSurface> {
         of.iter().map(|&i| PreparedSurface::new(all[i])).collect()
     };
     let (k, f) = (prepare(known, &free_known), prepare(found, &free_found));
@@ -152,6 +139,7 @@ pub fn match_objects(
 mod tests {
     use super::*;
     use glamx::DPose3;
+    use sms_core::{Mesh, PointCloud};
 
     #[test]
     fn the_assignment_is_the_best_of_all() {
@@ -182,8 +170,8 @@ mod tests {
         let (known, found) = ([ball(0.0), ball(0.07)], [ball(0.03), ball(-0.02)]);
         let meshes = |m: &[Mesh; 2]| m.clone();
         let (k, f) = (meshes(&known), meshes(&found));
-        let k: Vec<MatchSurface> = k.iter().map(MatchSurface::Mesh).collect();
-        let f: Vec<MatchSurface> = f.iter().map(MatchSurface::Mesh).collect();
+        let k: Vec<KnownSurface> = k.iter().map(KnownSurface::Mesh).collect();
+        let f: Vec<KnownSurface> = f.iter().map(KnownSurface::Mesh).collect();
         assert_eq!(match_objects(&k, &f, &[], &[0.1; 2]), [Some(1), Some(0)]);
         // With only one reconstruction, one object has no match.
         assert_eq!(match_objects(&k, &f[..1], &[], &[0.1; 2]), [Some(0), None]);
@@ -191,8 +179,9 @@ mod tests {
         assert_eq!(match_objects(&k, &f, &[(0, 0)], &[0.1; 2]), [Some(0), Some(1)]);
         assert_eq!(match_objects(&k, &f, &[(0, 0)], &[0.1, 0.02]), [Some(0), None]);
         // Points work as well as triangles.
-        let points = known[1].vertices.clone();
-        assert_eq!(match_objects(&[MatchSurface::Points(&points)], &f, &[], &[0.1]), [Some(0)]);
-        assert_eq!(match_objects(&[MatchSurface::Points(&[])], &f, &[], &[0.1]), [None]);
+        for (points_w, expected) in [(known[1].vertices.clone(), Some(0)), (Vec::new(), None)] {
+            let cloud = PointCloud { points_w, ..PointCloud::default() };
+            assert_eq!(match_objects(&[KnownSurface::Cloud(&cloud)], &f, &[], &[0.1]), [expected]);
+        }
     }
 }

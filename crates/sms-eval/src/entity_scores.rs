@@ -1,11 +1,12 @@
 //! Metrics of one reconstructed entity, compared with its true object.
 
 use crate::overlap::{collision_solids, parts_overlap};
+use crate::statistics::{f1, rank};
 use crate::surface_index::sample_surface;
 use crate::surface_scores::F1_M;
 use crate::truth::{OBSERVED_SPACING_M, SurfacePoint, TrueSurface};
 use rayon::prelude::*;
-use sms_core::{Entity, QuantileRule, Seed, quantile};
+use sms_core::{Entity, Seed};
 
 /// Number of samples of a surface before the unobserved ones are removed.
 pub const SURFACE_SAMPLES: usize = 100_000;
@@ -31,13 +32,9 @@ pub fn surface_figures(
     // Sorted, so that the means of the distances are summed in a fixed order.
     off.sort_by(f64::total_cmp);
     missing.sort_by(f64::total_cmp);
-    let rank = |d: &mut [f64], q: f64| quantile(d, q, QuantileRule::Nearest).unwrap_or(f64::NAN);
     let mean = |d: &[f64]| d.iter().sum::<f64>() / d.len().max(1) as f64;
     let within = |d: &[f64], at: f64| d.iter().filter(|v| **v <= at).count() as f64 / d.len().max(1) as f64;
-    let f1 = |off: &[f64], at: f64| {
-        let (p, r) = (within(off, at), within(&missing, at));
-        if p + r > 0.0 { 2.0 * p * r / (p + r) } else { 0.0 }
-    };
+    let f1 = |off: &[f64], at: f64| f1(within(off, at), within(&missing, at));
     let [median_m, p90_m, completion_m] =
         [rank(&mut off.clone(), 0.5), rank(&mut off.clone(), 0.9), rank(&mut missing.clone(), 0.5)];
     let chamfer_m = 0.5 * (mean(&off) + mean(&missing));

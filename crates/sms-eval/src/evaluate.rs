@@ -13,15 +13,13 @@
 //! out points outside a mask of visible space. Here every point counts; `sms-experiments materialize` restricts points
 //! to the view of the cameras.
 
+use crate::statistics::{f1, mean, rank};
 use crate::surface_index::{SurfaceIndex, sample_surface};
 use glamx::{DMat4, DPose3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
-use sms_core::{
-    CoreError, ErrorKind, InputError, Mesh, PointCloud, QuantileRule, Ranges, Seed, StageError, atomic,
-    quantile,
-};
+use sms_core::{CoreError, ErrorKind, InputError, Mesh, PointCloud, Ranges, Seed, StageError, atomic};
 use std::path::Path;
 
 /// Errors of evaluation.
@@ -94,34 +92,21 @@ pub struct ObjectScores {
 impl ObjectScores {
     /// Returns the scores as `evaluate.<name>.*` metrics.
     pub fn metrics(&self, name: &str) -> Metrics {
-        let mut m = Metrics::new();
-        for (key, value) in [
-            ("accuracy_median_m", self.accuracy_median_m),
-            ("accuracy_p90_m", self.accuracy_p90_m),
-            ("completion_median_m", self.completion_median_m),
-            ("chamfer_m", self.chamfer_m),
-            ("precision_2p5mm", self.precision_2p5mm),
-            ("recall_2p5mm", self.recall_2p5mm),
-            ("f1_2p5mm", self.f1_2p5mm),
-            ("f1_5mm", self.f1_5mm),
-        ] {
-            m.set(format!("evaluate.{name}.{key}"), value);
-        }
-        m
+        Metrics::of_fields(&format!("evaluate.{name}"), self)
     }
 }
 
-/// The known surface for a comparison, in the world.
+/// A surface to be compared or matched, in the world.
 #[derive(Debug, Clone, Copy)]
 pub enum KnownSurface<'a> {
     /// Points of a scanner, dense enough that the distance to the nearest point is the distance to the surface.
     Cloud(&'a PointCloud),
-    /// An exact mesh.
+    /// A mesh.
     Mesh(&'a Mesh),
 }
 
 impl KnownSurface<'_> {
-    fn index(&self) -> Option<SurfaceIndex> {
+    pub(crate) fn index(&self) -> Option<SurfaceIndex> {
         match self {
             Self::Cloud(cloud) => SurfaceIndex::of_points(&cloud.points_w),
             Self::Mesh(mesh) => SurfaceIndex::new(mesh),
@@ -156,14 +141,9 @@ pub fn evaluate_object(
     if accuracy.is_empty() {
         return Err(EvaluateError::Empty("the reconstruction"));
     }
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
     let within = |v: &[f64], t: f64| v.iter().filter(|&&d| d < t).count() as f64 / v.len() as f64;
-    let f1 = |t: f64| {
-        let (p, r) = (within(&accuracy, t), within(&completion, t));
-        if p + r > 0.0 { 2.0 * p * r / (p + r) } else { 0.0 }
-    };
+    let f1 = |t: f64| f1(within(&accuracy, t), within(&completion, t));
     let (f1_2p5mm, f1_5mm) = (f1(0.0025), f1(0.005));
-    let rank = |v: &mut [f64], q: f64| quantile(v, q, QuantileRule::Nearest).unwrap_or(f64::NAN);
     let chamfer_m = 0.5 * (mean(&accuracy) + mean(&completion));
     Ok(ObjectScores {
         accuracy_median_m: rank(&mut accuracy, 0.5),

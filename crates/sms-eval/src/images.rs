@@ -1,40 +1,10 @@
 //! Rendered held-out views, compared with the observed frames and with the truth.
 
-use crate::label_matching::Overlaps;
-use crate::label_matching::UNMATCHED;
+use crate::label_matching::{Overlaps, UNMATCHED};
+use crate::statistics::{mean, rank};
 use crate::truth::TrueView;
 use serde::{Deserialize, Serialize};
-use sms_core::{ColorImage, DepthImage, Image, LabelMap, QuantileRule, quantile};
-use sms_gaussians::RenderedMaps;
-
-/// Accumulated opacity above which a pixel counts as covered.
-pub const COVERED: f32 = 0.5;
-
-/// A rendered view of a reconstruction.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ShownView {
-    /// Colour, 0 to 1 (not rounded to 8 bits).
-    pub color: Image<[f32; 3]>,
-    /// Depth in metres, 0 for empty pixels.
-    pub depth: DepthImage,
-    /// Label of the masks, 0 for empty pixels; `None` when the reconstruction has no labels.
-    pub label: Option<LabelMap>,
-}
-
-impl ShownView {
-    /// Converts rendered maps. Pixels with less opacity than [`COVERED`] have no depth and the background's label.
-    pub fn of_maps(maps: &RenderedMaps) -> Self {
-        let (w, h) = (maps.width, maps.height);
-        let covered = |i: usize| maps.alpha[i] >= COVERED;
-        let depth = (0..w * h).map(|i| if covered(i) { maps.depth[i] } else { 0.0 }).collect();
-        let label = (0..w * h).map(|i| if covered(i) { maps.label[i] } else { 0 }).collect();
-        Self {
-            color: Image::from_vec(w, h, maps.color.clone()),
-            depth: Image::from_vec(w, h, depth),
-            label: Some(Image::from_vec(w, h, label)),
-        }
-    }
-}
+use sms_core::{ColorImage, DepthImage, Image, LabelMap};
 
 /// Peak signal-to-noise ratio over all pixels and channels, decibels.
 pub fn psnr_db(shown: &Image<[f32; 3]>, observed: &ColorImage) -> f64 {
@@ -54,7 +24,7 @@ pub fn psnr_db(shown: &Image<[f32; 3]>, observed: &ColorImage) -> f64 {
 /// Depth errors collected over views.
 ///
 /// A pixel counts if its true depth lies within the range of depths that the camera measured anywhere in the frame,
-/// which excludes the distant floor. Counted pixels with a rendered depth (accumulated opacity of at least [`COVERED`])
+/// which excludes the distant floor. Counted pixels with a rendered depth (accumulated opacity of at least one half)
 /// have an error; the others lower the coverage.
 #[derive(Debug, Clone, Default)]
 pub struct DepthErrors {
@@ -108,11 +78,9 @@ impl DepthErrors {
 
     /// Returns the scores over all added views.
     pub fn scores(&self) -> DepthScores {
-        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
-        let median = quantile(&mut self.errors.clone(), 0.5, QuantileRule::Nearest);
         DepthScores {
             mae_m: mean(&self.errors),
-            median_m: median.unwrap_or(f64::NAN),
+            median_m: rank(&mut self.errors.clone(), 0.5),
             inner_mae_m: mean(&self.inner),
             measured_mae_m: mean(&self.measured),
             coverage: self.errors.len() as f64 / self.countable.max(1) as f64,
@@ -163,7 +131,7 @@ pub fn mean_iou(pairs: &[(&LabelMap, &TrueView)], truth_of: &[u16], classes: usi
         }
     }
     let ious: Vec<f64> = (0..classes).filter(|&k| occurs[k]).map(|k| overlaps.iou(k, k)).collect();
-    ious.iter().sum::<f64>() / ious.len() as f64
+    mean(&ious)
 }
 
 #[cfg(test)]

@@ -2,15 +2,13 @@
 //!
 //! - **Known models**: [`evaluate_object`] compares a mesh with a scanned or exact surface, [`SolidScores`] its mass
 //!   properties, [`match_objects`] assigns reconstructed objects to known ones.
-//! - **Truth of generated scenes**: [`true_surfaces`] and [`true_views`]; [`observed_surface`] is the part of a surface
-//!   that at least three cameras see. [`match_labels`] finds the true object of each mask label.
+//! - **Truth of generated scenes**: [`true_surfaces`] and [`true_views`]; [`observed_surface_at_most`] is the part of a
+//!   surface that at least three cameras see. [`match_labels`] finds the true object of each mask label.
 //! - **Colour and depth**: [`psnr_db`] of held-out views, all pixels; [`DepthErrors`] against noise-free depth.
 //! - **Labels**: [`mean_iou`] of rendered labels, [`score_masks`] of mask images.
 //! - **Surfaces**: points on the discs of an object's Gaussians ([`disc_points`]) compared with its true surface
 //!   ([`score_labelled`]). The score of a scene is the mean over its objects.
 //! - **Entities**: [`surface_figures`], [`solid_figures`], [`placed_figures`].
-//! - **Disturbed poses**: [`align_cameras`] and [`refine_on_surfaces`] align a result rigidly before it is measured.
-//! - **Methods**: [`paired_difference`] and [`paired_ratio`] compare two methods on the same scenes.
 //! - **Physics engines**: [`closed_form`] experiments.
 //!
 //! ```
@@ -33,9 +31,7 @@
 //! assert!((scores.median_m - 0.002).abs() < 1e-12 && scores.f1 == 1.0 && F1_M == 0.0025);
 //! ```
 
-mod align;
 mod assignment;
-mod bootstrap;
 pub mod closed_form;
 mod entity_scores;
 mod evaluate;
@@ -45,30 +41,30 @@ mod mask_scores;
 mod overlap;
 mod placement;
 mod solids;
+mod statistics;
 mod surface_index;
 mod surface_scores;
 mod truth;
 
-pub use align::{align_cameras, pose_difference, refine_on_surfaces};
-pub use assignment::{MatchSurface, least_cost_assignment, match_objects};
-pub use bootstrap::{Paired, mean, median, paired_difference, paired_ratio};
+pub use assignment::{least_cost_assignment, match_objects};
 pub use entity_scores::{SURFACE_SAMPLES, solid_figures, surface_figures};
 pub use evaluate::{
     EvaluateError, EvaluateSettings, KnownObject, KnownSurface, ObjectScores, compare_sphere,
     evaluate_object, read_known_objects,
 };
-pub use images::{COVERED, DepthErrors, DepthScores, ShownView, mean_iou, psnr_db};
+pub use images::{DepthErrors, DepthScores, mean_iou, psnr_db};
 pub use label_matching::{Overlaps, UNMATCHED, match_labels};
 pub use mask_scores::{FOUND_IOU, MaskScores, MaskedObject, score_masks};
 pub use overlap::collision_solids;
 pub use placement::placed_figures;
 pub use solids::{SolidScores, entity_solid, known_solid};
+pub use statistics::mean;
 pub use surface_index::{ClosestPoint, SurfaceIndex, sample_surface};
 pub use surface_scores::{
     CROP_M, DiscSampling, F1_M, LabelledPoint, SceneScores, SurfaceScores, disc_points, is_near,
     score_cropped, score_labelled, score_surface, stray_share,
 };
 pub use truth::{
-    OBSERVED_BY, OBSERVED_SPACING_M, SurfacePoint, TrueSurface, TrueView, carried, observed_surface,
-    observed_surface_at_most, sample_true_surface, true_surfaces, true_views,
+    OBSERVED_BY, OBSERVED_SPACING_M, SurfacePoint, TrueSurface, TrueView, carried, observed_surface_at_most,
+    sample_true_surface, true_surfaces, true_views,
 };

@@ -34,11 +34,7 @@ impl SolidScores {
 
     /// Returns the scores as `evaluate.<name>.*` metrics.
     pub fn metrics(&self, name: &str) -> Metrics {
-        let mut m = Metrics::new();
-        m.set(format!("evaluate.{name}.volume_ratio"), self.volume_ratio);
-        m.set(format!("evaluate.{name}.mass_center_error_m"), self.mass_center_error_m);
-        m.set(format!("evaluate.{name}.inertia_error"), self.inertia_error);
-        m
+        Metrics::of_fields(&format!("evaluate.{name}"), self)
     }
 }
 

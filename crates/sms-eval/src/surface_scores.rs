@@ -1,12 +1,13 @@
 //! Reconstructed surfaces, compared with true ones.
 
 use crate::label_matching::UNMATCHED;
+use crate::statistics::{f1, mean, rank};
 use crate::surface_index::SurfaceIndex;
 use crate::truth::{SurfacePoint, TrueSurface};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sms_core::{GOLDEN_ANGLE_RAD, QuantileRule, quantile};
+use sms_core::GOLDEN_ANGLE_RAD;
 use sms_gaussians::GaussianModel;
 
 /// Largest distance of a correct point, metres.
@@ -101,11 +102,8 @@ pub fn score_surface(
     let hit: usize = observed.par_iter().filter(|s| index.closest(s.point).distance <= F1_M).count();
     let precision = off.iter().filter(|d| **d <= F1_M).count() as f64 / off.len() as f64;
     let recall = if observed.is_empty() { f64::NAN } else { hit as f64 / observed.len() as f64 };
-    let mut rank = |q: f64| quantile(&mut off, q, QuantileRule::Nearest).unwrap_or(f64::NAN);
-    let (median_m, p90_m) = (rank(0.5), rank(0.9));
-    let sum = precision + recall;
-    let f1 = if sum > 0.0 { 2.0 * precision * recall / sum } else { 0.0 };
-    SurfaceScores { median_m, p90_m, precision, recall, f1 }
+    let (median_m, p90_m) = (rank(&mut off, 0.5), rank(&mut off, 0.9));
+    SurfaceScores { median_m, p90_m, precision, recall, f1: f1(precision, recall) }
 }
 
 /// Scores of all objects.
@@ -120,10 +118,19 @@ pub struct SceneScores {
     pub found: usize,
 }
 
-fn scene_scores(objects: Vec<(String, SurfaceScores)>) -> SceneScores {
+/// Scores the points of each object against its surface and the samples of it that were observed.
+fn scene_scores(
+    points_of: &[Vec<DVec3>],
+    surfaces: &[TrueSurface],
+    observed: &[Vec<SurfacePoint>],
+) -> SceneScores {
+    let scored = surfaces.iter().zip(points_of).zip(observed).map(|((surface, points), observed)| {
+        (surface.name.clone(), score_surface(points, |p| surface.distance(p), observed))
+    });
+    let objects: Vec<(String, SurfaceScores)> = scored.collect();
     let mean = |value: fn(&SurfaceScores) -> f64| {
         let finite: Vec<f64> = objects.iter().map(|o| value(&o.1)).filter(|v| v.is_finite()).collect();
-        finite.iter().sum::<f64>() / finite.len() as f64
+        mean(&finite)
     };
     let found = objects.iter().filter(|o| o.1.median_m.is_finite()).count();
     let mean = SurfaceScores {
@@ -152,14 +159,7 @@ pub fn score_labelled(
             of_object[usize::from(truth) - 1].push(p.point);
         }
     }
-    let scored = surfaces.iter().zip(&of_object).zip(observed);
-    scene_scores(
-        scored
-            .map(|((surface, points), observed)| {
-                (surface.name.clone(), score_surface(points, |p| surface.distance(p), observed))
-            })
-            .collect(),
-    )
+    scene_scores(&of_object, surfaces, observed)
 }
 
 /// Returns the share of the points with an object's label whose label matches no true object.
@@ -200,21 +200,13 @@ pub fn score_cropped(
             of_object[object].push(*p);
         }
     }
-    let scored = surfaces.iter().zip(&of_object).zip(observed);
-    scene_scores(
-        scored
-            .map(|((surface, points), observed)| {
-                (surface.name.clone(), score_surface(points, |p| surface.distance(p), observed))
-            })
-            .collect(),
-    )
+    scene_scores(&of_object, surfaces, observed)
 }
 
 /// Returns whether a point could be closer than [`CROP_M`] to a surface, by the bounding box.
 pub fn is_near(surface: &TrueSurface, p: DVec3) -> bool {
-    let bounds = surface.mesh_box();
     let room = DVec3::splat(CROP_M);
-    p.cmpge(bounds.min - room).all() && p.cmple(bounds.max + room).all()
+    p.cmpge(surface.bounds.min - room).all() && p.cmple(surface.bounds.max + room).all()
 }
 
 #[cfg(test)]

@@ -19,7 +19,8 @@ pub struct TrueSurface {
     pub mesh: Mesh,
     /// Centre and radius of an exact sphere; its distances are exact.
     pub sphere: Option<(DVec3, f64)>,
-    bounds: Aabb,
+    /// The box around the surface.
+    pub(crate) bounds: Aabb,
     index: SurfaceIndex,
 }
 
@@ -28,11 +29,6 @@ impl TrueSurface {
     pub fn new(name: impl Into<String>, mesh: Mesh, sphere: Option<(DVec3, f64)>) -> Option<Self> {
         let bounds = mesh.aabb()?;
         Some(Self { name: name.into(), index: SurfaceIndex::new(&mesh)?, bounds, mesh, sphere })
-    }
-
-    /// The box around the surface.
-    pub fn mesh_box(&self) -> Aabb {
-        self.bounds
     }
 
     /// The closest surface point to `p` and the outward unit normal there.
@@ -100,13 +96,8 @@ pub const OBSERVED_BY: usize = 3;
 /// Returns the observed surface of each object: samples [`OBSERVED_SPACING_M`] apart that at least [`OBSERVED_BY`] of
 /// the cameras see. A camera sees a point if the point projects into the image, the surface faces the camera (any
 /// positive cosine between normal and line of sight), and no object hides the point (a ray is cast against all true
-/// surfaces). `cameras` are the true ones of the training frames.
-pub fn observed_surface(surfaces: &[TrueSurface], cameras: &[Camera]) -> Vec<Vec<SurfacePoint>> {
-    observed_surface_at_most(surfaces, cameras, usize::MAX)
-}
-
-/// Like [`observed_surface`], with at most about `samples` samples before the unseen ones are removed: on large
-/// surfaces they are farther apart.
+/// surfaces). `cameras` are the true ones of the training frames. On large surfaces, samples are farther apart, so that
+/// there are at most about `samples` before the unseen ones are removed.
 pub fn observed_surface_at_most(
     surfaces: &[TrueSurface],
     cameras: &[Camera],
@@ -198,6 +189,10 @@ pub fn carried(camera: &Camera, x_aw: &DPose3) -> Camera {
 mod tests {
     use super::*;
     use sms_core::Intrinsics;
+
+    fn observed_surface(surfaces: &[TrueSurface], cameras: &[Camera]) -> Vec<Vec<SurfacePoint>> {
+        observed_surface_at_most(surfaces, cameras, usize::MAX)
+    }
 
     fn ring(height: f64, count: usize) -> Vec<Camera> {
         (0..count)

@@ -2,14 +2,12 @@
 
 use crate::{SameEngineTarget, Target};
 use sms_core::InputError;
-use sms_sim::{RapierF64Factory, RapierFactory, WorldFactory};
+use sms_sim::{RapierF64Factory, RapierFactory, WorldFactory, WorldOptions};
 
 #[cfg(feature = "mujoco")]
 use crate::mujoco::MujocoFactory;
 #[cfg(feature = "physx")]
 use crate::physx::PhysxFactory;
-#[cfg(any(feature = "physx", feature = "mujoco"))]
-use sms_sim::WorldOptions;
 
 /// A physics engine in which plans are executed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -67,17 +65,12 @@ impl TargetEngine {
     /// # Errors
     /// [`InputError`] if the engine is not built in, or its library is not found.
     pub fn target(self) -> Result<Box<dyn Target>, InputError> {
-        match self {
-            Self::Rapier => Ok(Box::new(SameEngineTarget)),
-            #[cfg(feature = "physx")]
-            Self::Physx => Ok(Box::new(EngineTarget { factory: PhysxFactory::Precise, step: 0.25 })),
-            #[cfg(feature = "physx")]
-            Self::PhysxStock => Ok(Box::new(EngineTarget { factory: PhysxFactory::Stock, step: 1.0 })),
-            #[cfg(feature = "mujoco")]
-            Self::Mujoco => Ok(Box::new(EngineTarget { factory: MujocoFactory::new()?, step: 1.0 })),
-            #[allow(unreachable_patterns, reason = "reached if a feature is off")]
-            _ => Err(self.not_built_in()),
-        }
+        let step = match self {
+            Self::Rapier => return Ok(Box::new(SameEngineTarget)),
+            Self::Physx => 0.25,
+            Self::PhysxStock | Self::Mujoco => 1.0,
+        };
+        Ok(Box::new(EngineTarget { factory: self.factory()?, step }))
     }
 
     /// Builds the factory of its worlds.
@@ -120,16 +113,14 @@ pub fn engine_factories() -> Vec<(&'static str, Result<Box<dyn WorldFactory>, In
 }
 
 /// An engine at a fraction of the planner's step.
-#[cfg(any(feature = "physx", feature = "mujoco"))]
-struct EngineTarget<F> {
-    factory: F,
+struct EngineTarget {
+    factory: Box<dyn WorldFactory>,
     step: f64,
 }
 
-#[cfg(any(feature = "physx", feature = "mujoco"))]
-impl<F: WorldFactory> Target for EngineTarget<F> {
+impl Target for EngineTarget {
     fn factory(&self) -> &dyn WorldFactory {
-        &self.factory
+        &*self.factory
     }
 
     fn world_options(&self, planner: &WorldOptions) -> WorldOptions {

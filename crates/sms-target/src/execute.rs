@@ -75,9 +75,6 @@ impl StageError for TargetError {
 /// The task is resolved in the *planner's* scene, which fixes the robot's motion in world coordinates. The robot
 /// repeats this motion regardless of the true scene. The objective is measured on the true bodies that match the
 /// planner's; without a match, on the true target ball or on the body of the same name.
-///
-/// # Errors
-/// [`TargetError`].
 pub fn execute(
     task: &Task,
     action: &Action,
@@ -89,9 +86,6 @@ pub fn execute(
 }
 
 /// Does the same as [`execute`] on a given target.
-///
-/// # Errors
-/// [`TargetError`].
 pub fn execute_on(
     target: &dyn Target,
     task: &Task,

@@ -79,9 +79,6 @@ impl LandingExecution {
 /// Flies a planned landing in the true scene: true shapes, masses and materials, the target's engine, and different
 /// wash particles. The flight is fixed by the planner's scene, regardless of the true one. Every dynamic body of the
 /// true scene must stay in place.
-///
-/// # Errors
-/// [`TargetError`].
 pub fn execute_landing(
     target: &dyn Target,
     landing: &ResolvedLanding,

@@ -82,9 +82,6 @@ impl ChooseError {
 
 /// Asks which mark to choose, or takes the reply from the cache. If a reply names none of the marks, a repair is
 /// requested, at most `max_repairs` times.
-///
-/// # Errors
-/// [`ChooseError`].
 pub fn choose(
     question: &ChoiceQuestion,
     client: &Client,

@@ -100,11 +100,6 @@ impl VlmConfig {
         if self.url.is_empty() { Ok(()) } else { self.endpoint().map(drop) }
     }
 
-    /// Whether a server and a model are given.
-    pub fn is_configured(&self) -> bool {
-        !self.url.trim().is_empty() && !self.model.trim().is_empty()
-    }
-
     /// Returns the address of chat completions: `url` with any missing part of the path.
     ///
     /// # Errors

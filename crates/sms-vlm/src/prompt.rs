@@ -52,15 +52,12 @@ pub(crate) fn question(annotation: &str, is_surface: bool) -> String {
 
 /// Returns the form of the answer, with placeholders for numbers.
 fn example() -> String {
-    let range = |text: &str| {
-        let ends: Vec<&str> = text.split(' ').collect();
-        format!("{{\"best\": {}, \"low\": {}, \"high\": {}}}", ends[0], ends[1], ends[2])
-    };
+    const RANGE: &str = "{\"best\": …, \"low\": …, \"high\": …}";
     let mut out = String::from(
         "{\"label_is_right\": true or false, \"label\": \"…\", \"description\": \"…\", \"material\": \"…\",\n \"properties\": {",
     );
     for (i, p) in EstimatedProperty::ALL.into_iter().enumerate() {
-        let _ = write!(out, "{}\"{}\": {}", if i == 0 { "" } else { ",\n  " }, p.key(), range("… … …"));
+        let _ = write!(out, "{}\"{}\": {}", if i == 0 { "" } else { ",\n  " }, p.key(), RANGE);
     }
     out.push_str("}}");
     out

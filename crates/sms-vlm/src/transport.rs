@@ -138,21 +138,19 @@ impl Transport for HttpTransport {
 fn explained(error: &ureq::Error) -> TransportError {
     use ureq::Error;
     match error {
-        Error::Timeout(ureq::Timeout::Connect | ureq::Timeout::Resolve) => {
-            TransportError::Unreachable(error.to_string())
-        }
+        Error::Timeout(ureq::Timeout::Connect | ureq::Timeout::Resolve)
+        | Error::HostNotFound
+        | Error::ConnectionFailed
+        | Error::BadUri(_)
+        | Error::Tls(_)
+        | Error::Rustls(_) => TransportError::Unreachable(error.to_string()),
         Error::Timeout(_) => TransportError::Timeout(error.to_string()),
-        Error::HostNotFound | Error::ConnectionFailed | Error::BadUri(_) | Error::Tls(_) => {
-            TransportError::Unreachable(error.to_string())
-        }
         Error::Io(e) => explained_io(e),
-        Error::Rustls(_) => TransportError::Unreachable(error.to_string()),
         _ => TransportError::Broken(error.to_string()),
     }
 }
 
 fn explained_io(error: &std::io::Error) -> TransportError {
-    use std::io::ErrorKind;
     // Errors of the body are I/O errors that wrap the transport's own.
     if let Some(inner) = error.get_ref().and_then(|e| e.downcast_ref::<ureq::Error>()) {
         return match inner {
@@ -161,10 +159,7 @@ fn explained_io(error: &std::io::Error) -> TransportError {
             other => explained(other),
         };
     }
-    match error.kind() {
-        ErrorKind::TimedOut | ErrorKind::WouldBlock => TransportError::Timeout(error.to_string()),
-        _ => of_kind(error),
-    }
+    of_kind(error)
 }
 
 fn of_kind(error: &std::io::Error) -> TransportError {

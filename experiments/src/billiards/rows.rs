@@ -2,7 +2,7 @@
 
 use super::{BilliardsBench, Row, Shot};
 use crate::BenchError;
-use sms_core::process::cpu_seconds;
+use crate::cpu_time::cpu_seconds;
 use sms_core::{Cancel, Progress, Seed, StageContext, Warnings};
 use sms_plan::{Plan, PlanConfig, PlanError, plan, search_nominal};
 use sms_robots::RobotConfig;

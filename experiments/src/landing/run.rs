@@ -5,9 +5,9 @@ use super::sight::Recorded;
 use super::stand::{Standing, standing};
 use super::{LandingBench, LandingFlight, LandingPart, LandingPlanned, LandingSight};
 use crate::billiards::planner_view::{apply_to_matched, forget_material, scanned};
+use crate::cpu_time::cpu_seconds;
 use crate::{BenchError, BilliardsGeometry, MaterialPrior, part_of};
 use rayon::prelude::*;
-use sms_core::process::cpu_seconds;
 use sms_core::{Cancel, NoProgress, Progress, Seed, StageContext, StageError, Warnings, atomic};
 use sms_landing::{
     LandingAction, LandingError, LandingWorld, ResolvedLanding, RolloutOptions, Stuck, plan_landing,

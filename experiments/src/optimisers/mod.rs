@@ -4,11 +4,11 @@ mod cma_es;
 mod jacobi;
 
 use self::cma_es::{CmaSearch, CmaSettings};
+use crate::bootstrap::{median, paired_difference};
 use crate::{BenchError, PlanScene, SceneFamily};
 use rayon::prelude::*;
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, Progress, Seed, StageContext, Warnings};
-use sms_eval::{median, paired_difference};
 use sms_plan::{Method, NominalSearch, PlanConfig, PlanError, screening, search_nominal, search_nominal_by};
 use sms_sim::RapierFactory;
 use sms_task::ResolvedTask;

@@ -2,9 +2,10 @@
 
 use glamx::{DPose3, DVec3};
 use sms_core::{Camera, Image, Intrinsics, LabelInfo, Labels, MaskSource, Seed};
-use sms_eval::{LabelledPoint, ShownView};
+use sms_eval::LabelledPoint;
 use sms_experiments::{
-    BenchOptions, BenchScene, Prepared, Yardstick, export_scene, score_files, write_points, write_view,
+    BenchOptions, BenchScene, Prepared, ShownView, Yardstick, export_scene, score_files, write_points,
+    write_view,
 };
 use sms_frames::{Frame, Sequence};
 use sms_gaussians::Preset;

@@ -7,8 +7,8 @@ use sms_core::{
     Aabb, Entity, EntityKind, EntityShape, InputError, MassProperties, Mesh, PointCloud, Warnings,
 };
 use sms_eval::{
-    EvaluateSettings, KnownSurface, MatchSurface, ObjectScores, SolidScores, compare_sphere, entity_solid,
-    evaluate_object, known_solid, match_objects, read_known_objects,
+    EvaluateSettings, KnownSurface, ObjectScores, SolidScores, compare_sphere, entity_solid, evaluate_object,
+    known_solid, match_objects, read_known_objects,
 };
 use sms_sim::RestingDrift;
 use sms_synth::TruthScene;
@@ -36,10 +36,6 @@ pub struct KnownBody {
 impl KnownBody {
     fn surface(&self) -> KnownSurface<'_> {
         self.mesh.as_ref().map_or(KnownSurface::Cloud(&self.cloud), KnownSurface::Mesh)
-    }
-
-    fn match_surface(&self) -> MatchSurface<'_> {
-        self.mesh.as_ref().map_or(MatchSurface::Points(&self.cloud.points_w), MatchSurface::Mesh)
     }
 
     fn solid(&self) -> Option<MassProperties> {
@@ -178,8 +174,8 @@ fn pairs<'a>(known: &[KnownBody], dynamic: &[&'a Entity]) -> Vec<Option<&'a Enti
         let Some(label) = object.label_name.as_deref().map(plain) else { continue };
         given.extend(dynamic.iter().position(|e| plain(&e.name) == label).map(|f| (k, f)));
     }
-    let surfaces: Vec<MatchSurface<'_>> = known.iter().map(KnownBody::match_surface).collect();
-    let found: Vec<MatchSurface<'_>> = dynamic.iter().map(|e| MatchSurface::Mesh(&e.mesh)).collect();
+    let surfaces: Vec<KnownSurface<'_>> = known.iter().map(KnownBody::surface).collect();
+    let found: Vec<KnownSurface<'_>> = dynamic.iter().map(|e| KnownSurface::Mesh(&e.mesh)).collect();
     let reach: Vec<f64> = known.iter().map(|k| k.reach_m).collect();
     let matched = match_objects(&surfaces, &found, &given, &reach);
     matched.into_iter().map(|m| m.map(|f| dynamic[f])).collect()

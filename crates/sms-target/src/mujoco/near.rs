@@ -6,9 +6,9 @@ use sms_scene::BodyShape;
 use sms_sim::KinematicShape;
 
 /// Bounding spheres and boxes of the parts of a body, in its frame; `None` for a half space.
-pub(super) struct Bounds(Option<Vec<Part>>);
+pub(super) struct Bounds(Option<Vec<PartBounds>>);
 
-struct Part {
+struct PartBounds {
     center: DVec3,
     radius: f64,
     /// Half extents of the box along the axes of the body's frame, metres.
@@ -17,7 +17,7 @@ struct Part {
 
 impl Bounds {
     pub(super) fn of(shape: &BodyShape) -> Self {
-        let centred = |radius: f64, half: DVec3| Part { center: DVec3::ZERO, radius, half };
+        let centred = |radius: f64, half: DVec3| PartBounds { center: DVec3::ZERO, radius, half };
         Self(match shape {
             BodyShape::HalfSpace => None,
             BodyShape::Sphere { radius } => Some(vec![centred(*radius, DVec3::splat(*radius))]),
@@ -68,7 +68,7 @@ impl Bounds {
     }
 }
 
-impl Part {
+impl PartBounds {
     /// Returns whether a point in the body's frame is within `reach` of the box.
     fn is_within(&self, p: DVec3, reach: f64) -> bool {
         let from_center = p - self.center;
@@ -76,10 +76,10 @@ impl Part {
     }
 }
 
-fn around(mesh: &Mesh) -> Part {
+fn around(mesh: &Mesh) -> PartBounds {
     let (center, half) = Aabb::of_points(mesh.vertices.iter().copied())
         .map_or((DVec3::ZERO, DVec3::ZERO), |b| (b.center(), 0.5 * b.extents()));
-    Part { center, radius: mesh.vertices.iter().map(|p| p.distance(center)).fold(0.0, f64::max), half }
+    PartBounds { center, radius: mesh.vertices.iter().map(|p| p.distance(center)).fold(0.0, f64::max), half }
 }
 
 #[cfg(test)]

@@ -37,24 +37,15 @@ pub(super) struct MujocoWorld {
     may_sleep: bool,
     /// The model of the awake and fixed bodies; `None` while no movable body is awake.
     compiled: Option<Compiled>,
-    /// Positions and velocities of the free joints, 7 and 6 values per joint, and the last accelerations.
-    q: Vec<f64>,
-    v: Vec<f64>,
-    a: Vec<f64>,
+    now: MujocoState,
     /// Six values per body, starting with the world.
     wrenches: Vec<f64>,
     bodies: Vec<BodyInfo>,
     /// Bounds of the scene's bodies.
     bounds: Vec<Bounds>,
-    /// Sleep state of the scene's bodies.
-    asleep: Vec<bool>,
-    /// Time since the poses of the scene's bodies were noted, seconds, and these poses.
-    elapsed_s: f64,
-    places: Vec<DPose3>,
-    kinematics: Vec<Kinematic>,
     /// A body with which MuJoCo refuses the model; the world is unusable then.
     failed: Option<BodyId>,
-    saved: Option<Saved>,
+    saved: Option<MujocoState>,
 }
 
 #[derive(Clone, Copy)]
@@ -68,7 +59,7 @@ struct BodyInfo {
 }
 
 #[derive(Clone)]
-struct Kinematic {
+struct MujocoKinematic {
     body: BodyId,
     spec: KinematicSpec,
     /// Current mass of a tool; the model's mass follows when the tool comes near a body.
@@ -76,14 +67,19 @@ struct Kinematic {
     target_x_wk: DPose3,
 }
 
-struct Saved {
+/// The part of a world that is saved and restored.
+#[derive(Clone)]
+struct MujocoState {
+    /// Positions and velocities of the free joints, 7 and 6 values per joint, and the last accelerations.
     q: Vec<f64>,
     v: Vec<f64>,
     a: Vec<f64>,
+    /// Sleep state of the scene's bodies.
     asleep: Vec<bool>,
+    /// Time since the poses of the scene's bodies were noted, seconds, and these poses.
     elapsed_s: f64,
     places: Vec<DPose3>,
-    kinematics: Vec<Kinematic>,
+    kinematics: Vec<MujocoKinematic>,
 }
 
 /// A model and its bodies.
@@ -132,16 +128,18 @@ impl MujocoWorld {
             scene: scene.clone(),
             may_sleep: options.sleep,
             compiled: None,
-            q: vec![0.0; 7 * joints],
-            v: vec![0.0; 6 * joints],
-            a: vec![0.0; 6 * joints],
+            now: MujocoState {
+                q: vec![0.0; 7 * joints],
+                v: vec![0.0; 6 * joints],
+                a: vec![0.0; 6 * joints],
+                asleep: vec![false; scene.bodies.len()],
+                elapsed_s: 0.0,
+                places: scene.bodies.iter().map(|b| b.x_wb).collect(),
+                kinematics: Vec::new(),
+            },
             wrenches: vec![0.0; 6 * (bodies.len() + 1)],
             bodies,
             bounds: scene.bodies.iter().map(|b| Bounds::of(&b.shape)).collect(),
-            asleep: vec![false; scene.bodies.len()],
-            elapsed_s: 0.0,
-            places: scene.bodies.iter().map(|b| b.x_wb).collect(),
-            kinematics: Vec::new(),
             failed: None,
             saved: None,
         };
@@ -154,10 +152,10 @@ impl MujocoWorld {
 
     /// Recompiles the model after a change of bodies, kinematic bodies or collisions.
     fn recompile(&mut self) -> Result<(), String> {
-        let specs: Vec<KinematicSpec> = self.kinematics.iter().map(|k| k.spec).collect();
-        let asleep = &self.asleep;
+        let specs: Vec<KinematicSpec> = self.now.kinematics.iter().map(|k| k.spec).collect();
+        let asleep = &self.now.asleep;
         let of_scene = (0..self.scene.bodies.len()).filter(|&b| !asleep[b]);
-        let bodies: Vec<BodyId> = of_scene.chain(self.kinematics.iter().map(|k| k.body)).collect();
+        let bodies: Vec<BodyId> = of_scene.chain(self.now.kinematics.iter().map(|k| k.body)).collect();
         let joints: Vec<usize> = bodies.iter().filter_map(|&b| self.bodies[b].joint).collect();
         self.compiled = None;
         if joints.is_empty() {
@@ -172,35 +170,35 @@ impl MujocoWorld {
             bodies,
             joints,
         };
-        compiled.warm_start(&self.a);
+        compiled.warm_start(&self.now.a);
         self.compiled = Some(compiled);
         Ok(())
     }
 
     /// Wakes all bodies that an awake body may touch in this step, and recursively their neighbours.
     fn wake_neighbours(&mut self, dt: f64) {
-        if !self.asleep.contains(&true) {
+        if !self.now.asleep.contains(&true) {
             return;
         }
         let mut woken = None;
-        let mut awake: Vec<BodyId> = (0..self.asleep.len()).filter(|&b| self.is_awake(b)).collect();
-        for k in self.kinematics.iter().filter(|k| k.spec.enabled) {
+        let mut awake: Vec<BodyId> = (0..self.now.asleep.len()).filter(|&b| self.is_awake(b)).collect();
+        for k in self.now.kinematics.iter().filter(|k| k.spec.enabled) {
             let tool = self.state(k.body);
-            for body in 0..self.asleep.len() {
+            for body in 0..self.now.asleep.len() {
                 let margin = WAKE_M + tool.v_w.length() * dt;
-                if self.asleep[body]
+                if self.now.asleep[body]
                     && self.bounds[body].is_near(&self.state(body).x_wb, k.spec.shape, &tool.x_wb, margin)
                 {
-                    self.asleep[body] = false;
+                    self.now.asleep[body] = false;
                     awake.push(body);
                     woken = Some(body);
                 }
             }
         }
         while let Some(mover) = awake.pop() {
-            for body in 0..self.asleep.len() {
-                if self.asleep[body] && self.is_beside(mover, body, dt) {
-                    self.asleep[body] = false;
+            for body in 0..self.now.asleep.len() {
+                if self.now.asleep[body] && self.is_beside(mover, body, dt) {
+                    self.now.asleep[body] = false;
                     awake.push(body);
                     woken = Some(body);
                 }
@@ -213,7 +211,7 @@ impl MujocoWorld {
 
     /// Returns whether a body of the scene is movable and awake.
     fn is_awake(&self, body: BodyId) -> bool {
-        self.bodies[body].joint.is_some() && !self.asleep[body]
+        self.bodies[body].joint.is_some() && !self.now.asleep[body]
     }
 
     /// Returns whether two bodies of the scene may touch in a step of `dt`.
@@ -228,21 +226,21 @@ impl MujocoWorld {
 
     /// Puts resting bodies without a moving neighbour to sleep, after a step of `dt`.
     fn put_to_sleep(&mut self, dt: f64) {
-        self.elapsed_s += dt;
-        if !self.may_sleep || self.elapsed_s < WINDOW_S {
+        self.now.elapsed_s += dt;
+        if !self.may_sleep || self.now.elapsed_s < WINDOW_S {
             return;
         }
-        let awake: Vec<BodyId> = (0..self.asleep.len()).filter(|&b| self.is_awake(b)).collect();
+        let awake: Vec<BodyId> = (0..self.now.asleep.len()).filter(|&b| self.is_awake(b)).collect();
         let stays = |&body: &BodyId| {
-            let (then, now) = (&self.places[body], self.state(body).x_wb);
+            let (then, now) = (&self.now.places[body], self.state(body).x_wb);
             then.translation.distance(now.translation) < MOVED_M
                 && then.rotation.angle_between(now.rotation) < TURNED_RAD
         };
         let (mut still, mut restless): (Vec<BodyId>, Vec<BodyId>) = awake.into_iter().partition(stays);
-        let tools: Vec<&Kinematic> = self.kinematics.iter().filter(|k| k.spec.enabled).collect();
+        let tools: Vec<&MujocoKinematic> = self.now.kinematics.iter().filter(|k| k.spec.enabled).collect();
         let beside_tool = |&body: &BodyId| {
             let x_wb = self.state(body).x_wb;
-            let near = |k: &&Kinematic| {
+            let near = |k: &&MujocoKinematic| {
                 let tool = self.state(k.body);
                 let margin = WAKE_M + tool.v_w.length() * dt;
                 self.bounds[body].is_near(&x_wb, k.spec.shape, &tool.x_wb, margin)
@@ -254,10 +252,10 @@ impl MujocoWorld {
             restless.extend(still.extract_if(.., |b| self.is_beside(mover, *b, dt)));
         }
         for &body in &still {
-            self.asleep[body] = true;
+            self.now.asleep[body] = true;
             if let Some(joint) = self.bodies[body].joint {
-                self.v[6 * joint..6 * joint + 6].fill(0.0);
-                self.a[6 * joint..6 * joint + 6].fill(0.0);
+                self.now.v[6 * joint..6 * joint + 6].fill(0.0);
+                self.now.a[6 * joint..6 * joint + 6].fill(0.0);
             }
         }
         self.note_places();
@@ -267,14 +265,14 @@ impl MujocoWorld {
     }
 
     fn note_places(&mut self) {
-        self.elapsed_s = 0.0;
-        self.places = (0..self.scene.bodies.len()).map(|b| self.state(b).x_wb).collect();
+        self.now.elapsed_s = 0.0;
+        self.now.places = (0..self.scene.bodies.len()).map(|b| self.state(b).x_wb).collect();
     }
 
     /// Wakes a body of the scene.
     fn wake(&mut self, body: BodyId) {
-        if self.asleep.get(body) == Some(&true) {
-            self.asleep[body] = false;
+        if self.now.asleep.get(body) == Some(&true) {
+            self.now.asleep[body] = false;
             self.recompile_for(body);
         }
     }
@@ -291,24 +289,24 @@ impl MujocoWorld {
         let BodyInfo { joint: Some(joint), com, .. } = self.bodies[body] else { return };
         let r = state.x_wb.rotation;
         let p = state.x_wb.translation;
-        self.q[7 * joint..7 * joint + 7].copy_from_slice(&[p.x, p.y, p.z, r.w, r.x, r.y, r.z]);
+        self.now.q[7 * joint..7 * joint + 7].copy_from_slice(&[p.x, p.y, p.z, r.w, r.x, r.y, r.z]);
         // The joint's linear velocity is that of the frame's origin; its angular velocity is in the body's frame.
         let v = state.v_w - state.w_w.cross(r * com);
         let w = r.inverse() * state.w_w;
-        self.v[6 * joint..6 * joint + 6].copy_from_slice(&[v.x, v.y, v.z, w.x, w.y, w.z]);
+        self.now.v[6 * joint..6 * joint + 6].copy_from_slice(&[v.x, v.y, v.z, w.x, w.y, w.z]);
     }
 
     /// Adds a striker.
     fn add_striker(&mut self, spec: KinematicSpec) -> BodyId {
         let body = self.bodies.len();
-        let joint = self.q.len() / 7;
-        self.q.extend([0.0; 7]);
-        self.v.extend([0.0; 6]);
-        self.a.extend([0.0; 6]);
+        let joint = self.now.q.len() / 7;
+        self.now.q.extend([0.0; 7]);
+        self.now.v.extend([0.0; 6]);
+        self.now.a.extend([0.0; 6]);
         self.wrenches.extend([0.0; 6]);
         let x_wb = spec.x_wk;
         self.bodies.push(BodyInfo { joint: Some(joint), com: DVec3::ZERO, x_wb });
-        self.kinematics.push(Kinematic { body, spec, mass: spec.mass, target_x_wk: x_wb });
+        self.now.kinematics.push(MujocoKinematic { body, spec, mass: spec.mass, target_x_wk: x_wb });
         self.put(body, &BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO });
         self.recompile_for(body);
         body
@@ -316,19 +314,19 @@ impl MujocoWorld {
 
     /// Updates the model's mass of tools that may touch a body in a step of `dt`.
     fn weigh_tools(&mut self, dt: f64) {
-        for index in 0..self.kinematics.len() {
-            let k = &self.kinematics[index];
+        for index in 0..self.now.kinematics.len() {
+            let k = &self.now.kinematics[index];
             let (Some(of_model), Some(mass)) = (k.spec.mass, k.mass) else { continue };
             if !k.spec.enabled || (of_model - mass).abs() <= MASS_TOLERANCE * mass || !self.is_near(k, dt) {
                 continue;
             }
             let body = k.body;
-            self.kinematics[index].spec.mass = Some(mass);
+            self.now.kinematics[index].spec.mass = Some(mass);
             self.recompile_for(body);
         }
     }
 
-    fn is_near(&self, k: &Kinematic, dt: f64) -> bool {
+    fn is_near(&self, k: &MujocoKinematic, dt: f64) -> bool {
         let tool = self.state(k.body);
         self.bounds.iter().enumerate().any(|(body, bounds)| {
             let state = self.state(body);
@@ -339,7 +337,7 @@ impl MujocoWorld {
 
     fn step_once(&mut self, dt: f64) {
         let Some(c) = &mut self.compiled else { return };
-        c.gather(&self.q, &self.v, &self.wrenches);
+        c.gather(&self.now.q, &self.now.v, &self.wrenches);
         c.data.set_motion(&c.q, &c.v);
         c.data.set_wrenches(&c.wrenches);
         c.data.accelerations(&mut c.a);
@@ -347,7 +345,7 @@ impl MujocoWorld {
             *v += dt * a;
         }
         c.data.model().integrate(&mut c.q, &c.v, dt);
-        c.scatter(&mut self.q, &mut self.v, &mut self.a);
+        c.scatter(&mut self.now.q, &mut self.now.v, &mut self.now.a);
     }
 }
 
@@ -409,7 +407,7 @@ impl World for MujocoWorld {
             return;
         }
         // MuJoCo's contact search may not terminate for non-finite states; the caller detects them in the state.
-        if !self.q.iter().chain(&self.v).chain(&self.wrenches).all(|x| x.is_finite()) {
+        if !self.now.q.iter().chain(&self.now.v).chain(&self.wrenches).all(|x| x.is_finite()) {
             return;
         }
         self.wake_neighbours(dt);
@@ -421,6 +419,7 @@ impl World for MujocoWorld {
         let h = dt / steps;
         // `None` for tools, which contacts push.
         let motions: Vec<Option<(BodyId, DPose3, DVec3, DVec3)>> = self
+            .now
             .kinematics
             .iter()
             .map(|k| {
@@ -441,8 +440,8 @@ impl World for MujocoWorld {
             }
             self.step_once(h);
         }
-        for index in 0..self.kinematics.len() {
-            let k = &mut self.kinematics[index];
+        for index in 0..self.now.kinematics.len() {
+            let k = &mut self.now.kinematics[index];
             if k.spec.mass.is_some() {
                 continue;
             }
@@ -460,7 +459,7 @@ impl World for MujocoWorld {
         let Some(joint) = joint else {
             return BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO };
         };
-        let (q, v) = (&self.q[7 * joint..], &self.v[6 * joint..]);
+        let (q, v) = (&self.now.q[7 * joint..], &self.now.v[6 * joint..]);
         let rotation = DQuat::from_xyzw(q[4], q[5], q[6], q[3]);
         let w_w = rotation * DVec3::new(v[3], v[4], v[5]);
         BodyState {
@@ -471,12 +470,12 @@ impl World for MujocoWorld {
     }
 
     fn set_state(&mut self, body: BodyId, state: &BodyState) {
-        if let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) {
+        if let Some(k) = self.now.kinematics.iter_mut().find(|k| k.body == body) {
             (k.spec.x_wk, k.target_x_wk) = (state.x_wb, state.x_wb);
         }
         self.put(body, state);
         self.wake(body);
-        if let Some(place) = self.places.get_mut(body) {
+        if let Some(place) = self.now.places.get_mut(body) {
             // Restarts the rest detection of this body.
             *place = DPose3::from_translation(DVec3::INFINITY);
         }
@@ -495,7 +494,7 @@ impl World for MujocoWorld {
     }
 
     fn is_asleep(&self, body: BodyId) -> bool {
-        self.bodies[body].joint.is_none() || self.asleep.get(body) == Some(&true)
+        self.bodies[body].joint.is_none() || self.now.asleep.get(body) == Some(&true)
     }
 
     fn add_kinematic(
@@ -515,7 +514,7 @@ impl World for MujocoWorld {
 
     fn set_tool(&mut self, body: BodyId, state: &BodyState, mass: f64) {
         self.put(body, state);
-        if let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body && k.spec.mass.is_some())
+        if let Some(k) = self.now.kinematics.iter_mut().find(|k| k.body == body && k.spec.mass.is_some())
             && mass > 0.0
         {
             k.mass = Some(mass);
@@ -523,13 +522,13 @@ impl World for MujocoWorld {
     }
 
     fn set_kinematic_target(&mut self, body: BodyId, x_wk: DPose3) {
-        if let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) {
+        if let Some(k) = self.now.kinematics.iter_mut().find(|k| k.body == body) {
             k.target_x_wk = x_wk;
         }
     }
 
     fn set_kinematic_enabled(&mut self, body: BodyId, enabled: bool) {
-        let Some(k) = self.kinematics.iter_mut().find(|k| k.body == body) else { return };
+        let Some(k) = self.now.kinematics.iter_mut().find(|k| k.body == body) else { return };
         if k.spec.enabled != enabled {
             k.spec.enabled = enabled;
             self.recompile_for(body);
@@ -537,35 +536,22 @@ impl World for MujocoWorld {
     }
 
     fn save(&mut self) -> bool {
-        self.saved = Some(Saved {
-            q: self.q.clone(),
-            v: self.v.clone(),
-            a: self.a.clone(),
-            asleep: self.asleep.clone(),
-            elapsed_s: self.elapsed_s,
-            places: self.places.clone(),
-            kinematics: self.kinematics.clone(),
-        });
+        self.saved = Some(self.now.clone());
         true
     }
 
     fn restore(&mut self) -> bool {
         let Some(saved) = self.saved.take() else { return false };
-        self.q.clone_from(&saved.q);
-        self.v.clone_from(&saved.v);
-        self.a.clone_from(&saved.a);
-        let others = self.asleep != saved.asleep
-            || self.kinematics.len() != saved.kinematics.len()
+        let others = self.now.asleep != saved.asleep
+            || self.now.kinematics.len() != saved.kinematics.len()
             || self
+                .now
                 .kinematics
                 .iter()
                 .zip(&saved.kinematics)
                 .any(|(a, b)| (a.spec.enabled, a.spec.mass) != (b.spec.enabled, b.spec.mass));
-        self.asleep.clone_from(&saved.asleep);
-        self.elapsed_s = saved.elapsed_s;
-        self.places.clone_from(&saved.places);
-        self.kinematics.clone_from(&saved.kinematics);
-        self.bodies.truncate(self.scene.bodies.len() + self.kinematics.len());
+        self.now = saved.clone();
+        self.bodies.truncate(self.scene.bodies.len() + self.now.kinematics.len());
         self.wrenches.resize(6 * (self.bodies.len() + 1), 0.0);
         self.wrenches.fill(0.0);
         self.saved = Some(saved);
@@ -574,7 +560,7 @@ impl World for MujocoWorld {
             return self.recompile().is_ok();
         }
         if let Some(compiled) = &mut self.compiled {
-            compiled.warm_start(&self.a);
+            compiled.warm_start(&self.now.a);
         }
         true
     }

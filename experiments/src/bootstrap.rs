@@ -1,20 +1,21 @@
-//! Means, medians and paired comparisons of two methods on the same scenes.
+//! Medians and paired comparisons of two methods on the same scenes.
 
 use rand::RngExt;
 use sms_core::{QuantileRule, Seed, quantile};
+use sms_eval::mean;
 
 /// Number of resamples of the scenes.
 const RESAMPLES: usize = 4000;
 
 /// A mean difference with its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Paired {
+pub(crate) struct Paired {
     /// Mean of a − b.
-    pub mean: f64,
+    pub(crate) mean: f64,
     /// 2.5 % quantile of the mean over resampled scenes.
-    pub low: f64,
+    pub(crate) low: f64,
     /// 97.5 % quantile of the mean over resampled scenes.
-    pub high: f64,
+    pub(crate) high: f64,
 }
 
 impl Paired {
@@ -26,7 +27,7 @@ impl Paired {
 
 /// Returns the mean of `a − b` over scenes, with the percentile bootstrap (Efron 1979) over scenes: each resample draws
 /// whole pairs. The seed is fixed, so that the same values give the same interval. `None` without pairs.
-pub fn paired_difference(a: &[f64], b: &[f64]) -> Option<Paired> {
+pub(crate) fn paired_difference(a: &[f64], b: &[f64]) -> Option<Paired> {
     let differences: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();
     let n = differences.len();
     if n == 0 {
@@ -43,7 +44,7 @@ pub fn paired_difference(a: &[f64], b: &[f64]) -> Option<Paired> {
 /// resample draws whole pairs and forms the ratio of its own means, so that the interval includes the uncertainty of
 /// the base. In [`Paired`], `mean` is the ratio over all scenes. The seed is fixed. `None` without pairs, or if values
 /// that should be positive are not.
-pub fn paired_ratio(pairs: &[(f64, f64)]) -> Option<Paired> {
+pub(crate) fn paired_ratio(pairs: &[(f64, f64)]) -> Option<Paired> {
     let n = pairs.len();
     if n == 0 || pairs.iter().any(|p| p.1.is_nan() || p.1 <= 0.0 || p.0.is_nan()) {
         return None;
@@ -57,13 +58,8 @@ pub fn paired_ratio(pairs: &[(f64, f64)]) -> Option<Paired> {
     Some(Paired::of_resamples(ratio(pairs.iter().fold((0.0, 0.0), add)), &mut ratios))
 }
 
-/// Returns the mean; NaN for an empty slice.
-pub fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
-}
-
 /// Returns the median (the mean of the middle two for an even number of values); NaN for an empty slice.
-pub fn median(values: &[f64]) -> f64 {
+pub(crate) fn median(values: &[f64]) -> f64 {
     quantile(&mut values.to_vec(), 0.5, QuantileRule::Linear).unwrap_or(f64::NAN)
 }
 

@@ -1,9 +1,9 @@
 //! Rigid alignment of a result to the truth, for recordings with disturbed poses.
 
-use crate::truth::TrueSurface;
 use glamx::{DPose3, DQuat, DVec3};
 use rayon::prelude::*;
 use sms_core::symmetric_eigen;
+use sms_eval::TrueSurface;
 
 /// Returns the rigid motion `x_ab` that moves points `p_b` closest to their partners `p_a` in the least-squares sense
 /// (Horn 1987, "Closed-form solution of absolute orientation using unit quaternions").
@@ -35,7 +35,11 @@ fn absolute_orientation(p_a: &[DVec3], p_b: &[DVec3]) -> DPose3 {
 
 /// Improves `x_tw` by moving points (in `W`, each with the index of its surface) onto true surfaces: iterated
 /// point-to-plane steps on the nearest 90 % of at most 20 000 points.
-pub fn refine_on_surfaces(points_w: &[(DVec3, usize)], surfaces: &[TrueSurface], x_tw: DPose3) -> DPose3 {
+pub(crate) fn refine_on_surfaces(
+    points_w: &[(DVec3, usize)],
+    surfaces: &[TrueSurface],
+    x_tw: DPose3,
+) -> DPose3 {
     const MOST: usize = 20_000;
     const ROUNDS: usize = 40;
     const TRIM: f64 = 0.9;
@@ -107,7 +111,7 @@ fn solve(mut a: [[f64; 6]; 6], mut b: [f64; 6]) -> Option<[f64; 6]> {
 
 /// Returns the alignment `x_tw` of cameras as used (`x_wc`) with the true ones (`x_tc`), from their centres and from
 /// points 1 m in front of them, which add the rotations.
-pub fn align_cameras(x_tc: &[DPose3], x_wc: &[DPose3]) -> DPose3 {
+pub(crate) fn align_cameras(x_tc: &[DPose3], x_wc: &[DPose3]) -> DPose3 {
     let corners = |poses: &[DPose3]| -> Vec<DVec3> {
         poses.iter().flat_map(|x| [x.translation, x.transform_point(DVec3::Z)]).collect()
     };
@@ -115,7 +119,7 @@ pub fn align_cameras(x_tc: &[DPose3], x_wc: &[DPose3]) -> DPose3 {
 }
 
 /// Angle (radians) and shift (metres, at the origin) between two poses.
-pub fn pose_difference(a: &DPose3, b: &DPose3) -> (f64, f64) {
+pub(crate) fn pose_difference(a: &DPose3, b: &DPose3) -> (f64, f64) {
     let d = a.inverse() * *b;
     (d.rotation.to_scaled_axis().length(), d.translation.length())
 }
@@ -123,8 +127,8 @@ pub fn pose_difference(a: &DPose3, b: &DPose3) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::truth::sample_true_surface;
     use sms_core::{Mesh, Seed};
+    use sms_eval::sample_true_surface;
 
     fn motion() -> DPose3 {
         DPose3::from_parts(DVec3::new(0.3, -0.2, 0.1), DQuat::from_scaled_axis(DVec3::new(0.4, -2.0, 1.0)))
