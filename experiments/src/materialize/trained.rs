@@ -186,7 +186,7 @@ fn make(
     }
 
     write_ply(&result.model, &aside.join("scene.ply"))?;
-    sequence.save(&aside.join("frames"))?;
+    sequence.save_with_settings(&aside.join("frames"), &())?;
     save_labels(&aside.join("masks"), &labels)?;
     write_observed(&aside.join("observed.f64"), &observed)?;
     let truth_of = match_labels(&overlaps);
