@@ -155,8 +155,8 @@ mod tests {
         for (text, word) in [
             ("10,20,30,40", "names no object"),
             ("mug=1,2,3", "3 numbers"),
-            ("mug=1,2,x,4", "1,2,x,4"),
-            ("mug=1,2,NaN,4", "1,2,NaN,4"),
+            ("mug=1,2,x,4", "not numbers"),
+            ("mug=1,2,NaN,4", "not numbers"),
             ("mug=5,2,3,4", "no area"),
             ("=1,2,3,4", "names no object"),
         ] {
