@@ -386,7 +386,7 @@ pub(super) mod tests {
         let realised = table.realise(&|_| view, &plans, &NoProgress, &Cancel::new()).unwrap();
         assert_eq!(realised.rows[&Row::Ours], [Some(0.2), None]);
         let why = &realised.unfinished[&Row::Ours];
-        assert!(why.len() == 1 && why[&1].contains("fr3_joint"), "{why:?}");
+        assert!(why.len() == 1 && why[&1].contains("the robot cannot execute this strike"), "{why:?}");
         let line = format!("not finished, scene  3: ours 2, robust 1: {}", why[&1]);
 
         let (rows, unfinished) = (realised.rows, realised.unfinished);

@@ -60,7 +60,7 @@ fn bad_input_is_refused(dir: &Path, run: &str, task: &str) {
         refused(&arguments, words);
     };
     let far = write("far.toml", good.replace(goal, "goal_w = [7.0, 0.2]"));
-    plan_refused(&far, &[], &["goal_w", "far.toml"]);
+    plan_refused(&far, &[], &["goal_w", "far.toml", "from the nearest scanned body"]);
     let unknown = write("unknown.toml", good.replace("color = \"white\"", "name = \"teapot\""));
     plan_refused(&unknown, &[], &["teapot", "unknown.toml", "object_01"]);
 
