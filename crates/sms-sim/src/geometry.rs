@@ -246,6 +246,17 @@ impl Path<'_> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use std::sync::LazyLock;
+
+    const CYLINDER: (f64, f64) = (0.05, 0.08);
+
+    fn fine_prism() -> &'static ConvexPolyhedron {
+        static PRISM: LazyLock<ConvexPolyhedron> = LazyLock::new(|| {
+            let prism = Mesh::cylinder(CYLINDER.0, CYLINDER.1, 720);
+            ConvexPolyhedron::from_convex_hull(&prism.vertices).unwrap()
+        });
+        &PRISM
+    }
 
     proptest! {
         /// Compares the closed form with the hull of a fine prism.
@@ -253,11 +264,9 @@ mod tests {
         fn nearest_points_of_a_cylinder_are_those_of_a_fine_prism(
             x in -0.2..0.2f64, y in -0.2..0.2f64, z in -0.2..0.2f64,
         ) {
-            let (radius, half_length) = (0.05, 0.08);
+            let (radius, half_length) = CYLINDER;
             let p = DVec3::new(x, y, z);
-            let prism = Mesh::cylinder(radius, half_length, 720);
-            let hull = ConvexPolyhedron::from_convex_hull(&prism.vertices).unwrap();
-            let (expected, inside_prism) = projected(hull.project_local_point(p, false));
+            let (expected, inside_prism) = projected(fine_prism().project_local_point(p, false));
             let (q, inside) = nearest_on_cylinder(p, radius, half_length);
             let gap = q.distance(p) - expected.distance(p);
             prop_assert!(gap.abs() < 2e-6, "{p}: {q} {expected}");

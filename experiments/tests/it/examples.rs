@@ -43,20 +43,23 @@ fn planned(file: &str, evaluations: usize) -> (Plan, ResolvedTask, Scene) {
 }
 
 #[test]
-fn the_blue_ball_passes_and_the_others_stay() {
+#[ignore = "long: plans in many worlds"]
+fn long_the_blue_ball_passes_and_the_others_stay() {
     let (plan, task, _) = planned("pass-and-leave.toml", 80);
     assert!(plan.objective < 0.3 * task.initial_objective(), "{}", plan.objective);
     assert_eq!(plan.strategies[0].outcomes.len(), 4);
 }
 
 #[test]
-fn the_blue_ball_comes_nearer_to_where_it_is_to_lie() {
+#[ignore = "long: plans in many worlds"]
+fn long_the_blue_ball_comes_nearer_to_where_it_is_to_lie() {
     let (plan, task, _) = planned("park.toml", 240);
     assert!(plan.objective < 0.7 * task.initial_objective(), "{}", plan.objective);
 }
 
 #[test]
-fn the_box_is_pushed() {
+#[ignore = "long: plans in many worlds"]
+fn long_the_box_is_pushed() {
     let (plan, task, scene) = planned("push-the-box.toml", 80);
     assert!(plan.objective < 0.4 * task.initial_objective(), "{}", plan.objective);
     let pushed = format!("pushes `{}`", task.cue().name);
@@ -65,7 +68,8 @@ fn the_box_is_pushed() {
 }
 
 #[test]
-fn the_bottle_falls() {
+#[ignore = "long: plans in many worlds"]
+fn long_the_bottle_falls() {
     let (plan, task, _) = planned("topple.toml", 80);
     assert!(task.is_success(plan.objective), "{} of {}", plan.objective, task.initial_objective());
 }

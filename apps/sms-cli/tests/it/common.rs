@@ -1,6 +1,9 @@
-//! Starts the program.
+//! Starts the program, and makes the recording and the run that several tests begin with.
 
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::sync::OnceLock;
 
 /// Runs the program with these arguments and without progress.
 pub(crate) fn sms(arguments: &[&str]) -> Output {
@@ -18,4 +21,51 @@ pub(crate) fn done(arguments: &[&str]) -> String {
 /// Returns the standard output and error of a run.
 pub(crate) fn said(output: &Output) -> String {
     [&output.stdout, &output.stderr].map(|s| String::from_utf8_lossy(s).into_owned()).concat()
+}
+
+/// The generated recording of `sms sample`, made once for all tests; they only read it.
+pub(crate) fn recording() -> &'static Path {
+    static RECORDING: OnceLock<PathBuf> = OnceLock::new();
+    RECORDING.get_or_init(|| {
+        let path = shared_folder("recording");
+        done(&["sample", path.to_str().unwrap()]);
+        path
+    })
+}
+
+/// Copies a materialized `draft` run of [`recording`] to `to`. The run is made once for all tests, with few final steps.
+pub(crate) fn copy_materialized_run(to: &Path) {
+    static RUN: OnceLock<PathBuf> = OnceLock::new();
+    let made = RUN.get_or_init(|| {
+        let path = shared_folder("run");
+        let (run, recording) = (path.to_str().unwrap(), recording().to_str().unwrap());
+        done(&["scan", recording, "--out", run, "--preset", "draft", "--set", "scan.final_steps=2"]);
+        done(&["materialize", run]);
+        path
+    });
+    copy(made, to);
+}
+
+/// Returns the path of a folder that does not exist. It lies in the target folder: a static temporary directory would
+/// never be deleted.
+fn shared_folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("sms-cli-tests").join(name);
+    match fs::remove_dir_all(&path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => panic!("{}: {e}", path.display()),
+        _ => path,
+    }
+}
+
+/// Copies a folder with everything in it.
+pub(crate) fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let target = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            copy(&entry.path(), &target);
+        } else {
+            fs::copy(entry.path(), target).unwrap();
+        }
+    }
 }

@@ -1,25 +1,10 @@
 //! Bad input gives one clear message that names the file and the cure, and exit code 2.
 
-use crate::common::{said, sms};
+use crate::common::{copy, recording, sms};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-use std::sync::OnceLock;
-
-/// A generated recording, made once.
-fn sample() -> &'static Path {
-    static SAMPLE: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
-    &SAMPLE
-        .get_or_init(|| {
-            let dir = tempfile::tempdir().unwrap();
-            let path = dir.path().join("sample");
-            let made = sms(&["sample", path.to_str().unwrap()]);
-            assert!(made.status.success(), "{}", said(&made));
-            (dir, path)
-        })
-        .1
-}
 
 struct Broken {
     dir: tempfile::TempDir,
@@ -28,7 +13,7 @@ struct Broken {
 impl Broken {
     fn new() -> Self {
         let dir = tempfile::tempdir().unwrap();
-        copy(sample(), &dir.path().join("recording"));
+        copy(recording(), &dir.path().join("recording"));
         Self { dir }
     }
 
@@ -63,22 +48,6 @@ fn expect_refusal(output: &Output, words: &[&str]) {
     assert_eq!(message.matches("error:").count(), 1, "one message: {message}");
     for word in words {
         assert!(message.contains(word), "`{word}` is missing in: {message}");
-    }
-}
-
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        let target = to.join(entry.file_name());
-        if entry.file_name() == "truth" {
-            continue;
-        }
-        if entry.path().is_dir() {
-            copy(&entry.path(), &target);
-        } else {
-            fs::copy(entry.path(), target).unwrap();
-        }
     }
 }
 
@@ -173,7 +142,7 @@ fn settings_with_an_unknown_key() {
 fn settings_that_cannot_be_leave_a_run_as_it_was() {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("run");
-    let scan = |more: &[&str]| quick_scan(sample(), &run, more);
+    let scan = |more: &[&str]| quick_scan(recording(), &run, more);
     let first = scan(&[]);
     assert!(first.status.success(), "{}", String::from_utf8_lossy(&first.stderr));
     let settings = fs::read_to_string(run.join("run.toml")).unwrap();
@@ -241,7 +210,7 @@ fn a_folder_that_holds_something_else_is_left_alone() {
 
 #[test]
 fn a_fault_that_the_check_finds_is_an_exit_code_and_in_the_json() {
-    let good = sms(&["check", sample().to_str().unwrap(), "--json"]);
+    let good = sms(&["check", recording().to_str().unwrap(), "--json"]);
     assert_eq!(good.status.code(), Some(0), "{}", String::from_utf8_lossy(&good.stderr));
     let report: Value = serde_json::from_slice(&good.stdout).unwrap();
     assert_eq!(report["check.approved"], Value::Bool(true));
@@ -275,7 +244,7 @@ fn any_seed_does_reports_only_read_and_damaged_files_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("run");
     let seed = u64::MAX.to_string();
-    let scanned = quick_scan(sample(), &run, &["--seed", &seed]);
+    let scanned = quick_scan(recording(), &run, &["--seed", &seed]);
     assert!(scanned.status.success(), "{}", String::from_utf8_lossy(&scanned.stderr));
     assert!(fs::read_to_string(run.join("run.toml")).unwrap().contains(&seed));
 
@@ -283,7 +252,7 @@ fn any_seed_does_reports_only_read_and_damaged_files_are_named() {
     let stamp = |name: &str| fs::metadata(run.join(name).join("stage.json")).unwrap().modified().unwrap();
     let before = (stamp("frames"), stamp("gaussians"));
     let more = ["--seed", &seed, "--no-check", "--set", "scan.checkpoint_seconds=60"];
-    assert!(quick_scan(sample(), &run, &more).status.success());
+    assert!(quick_scan(recording(), &run, &more).status.success());
     assert_eq!((stamp("frames"), stamp("gaussians")), before);
 
     // While another process writes to the run, a report of its current content can be written.
@@ -310,8 +279,8 @@ fn any_seed_does_reports_only_read_and_damaged_files_are_named() {
 fn a_live_view_without_the_feature_says_which_build_has_it() {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("run");
-    expect_refusal(&quick_scan(sample(), &run, &["--live"]), &["--features rerun"]);
-    expect_refusal(&quick_scan(sample(), &run, &["--live=127.0.0.1:9876"]), &["--features rerun"]);
+    expect_refusal(&quick_scan(recording(), &run, &["--live"]), &["--features rerun"]);
+    expect_refusal(&quick_scan(recording(), &run, &["--live=127.0.0.1:9876"]), &["--features rerun"]);
     assert!(!run.exists());
 }
 
@@ -320,7 +289,7 @@ fn progress_as_json_lines_tells_frame_step_losses_and_time_left() {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("run");
     let output = Command::new(env!("CARGO_BIN_EXE_sms"))
-        .args(["scan", sample().to_str().unwrap(), "--out", run.to_str().unwrap(), "--preset", "draft"])
+        .args(["scan", recording().to_str().unwrap(), "--out", run.to_str().unwrap(), "--preset", "draft"])
         .args(["--progress", "json", "--set", "scan.steps_first=20", "--set", "scan.final_steps=10"])
         // Where there is none, the system's graphics libraries complain on standard error as they look for GPUs.
         .env("XDG_RUNTIME_DIR", dir.path())

@@ -1,15 +1,8 @@
 //! Stages that edits of `masks/labels.json` repeat, and the output of `sms masks --preview`.
 
-use crate::common::{done, sms};
+use crate::common::{copy_materialized_run, done, recording, sms};
 use std::fs;
-use std::path::{Path, PathBuf};
-
-/// A small generated recording, and where a run of it may be.
-fn sample(dir: &Path) -> (PathBuf, PathBuf) {
-    let (recording, run) = (dir.join("recording"), dir.join("run"));
-    done(&["sample", recording.to_str().unwrap()]);
-    (recording, run)
-}
+use std::path::Path;
 
 fn edit(path: &Path, from: &str, to: &str) {
     let text = fs::read_to_string(path).unwrap();
@@ -20,13 +13,12 @@ fn edit(path: &Path, from: &str, to: &str) {
 #[test]
 fn other_names_leave_the_gaussians_and_merged_objects_do_not() {
     let dir = tempfile::tempdir().unwrap();
-    let (recording, run) = sample(dir.path());
+    let run = dir.path().join("run");
     let scan = || {
-        let paths = ["scan", recording.to_str().unwrap(), "--out", run.to_str().unwrap()];
+        let paths = ["scan", recording().to_str().unwrap(), "--out", run.to_str().unwrap()];
         done(&[&paths[..], &["--preset", "draft", "--set", "scan.final_steps=2"]].concat())
     };
-    scan();
-    done(&["materialize", run.to_str().unwrap()]);
+    copy_materialized_run(&run);
     let labels = run.join("masks/labels.json");
     let (name, entities) = ("\"name\": \"object_02\"", run.join("entities"));
     assert!(entities.join("object_02").is_dir());
@@ -59,12 +51,12 @@ fn other_names_leave_the_gaussians_and_merged_objects_do_not() {
 #[test]
 fn what_was_found_is_drawn_before_it_is_followed() {
     let dir = tempfile::tempdir().unwrap();
-    let (recording, run) = sample(dir.path());
+    let run = dir.path().join("run");
     let weights = dir.path().join("weights");
     fs::create_dir_all(weights.join("sam2-tiny")).unwrap();
     fs::write(weights.join("sam2-tiny/config.json"), "{\"model_type\": \"sam2_video\"}").unwrap();
     fs::write(weights.join("sam2-tiny/model.safetensors"), "no weights").unwrap();
-    let paths = ["scan", recording.to_str().unwrap(), "--out", run.to_str().unwrap(), "--preset", "draft"];
+    let paths = ["scan", recording().to_str().unwrap(), "--out", run.to_str().unwrap(), "--preset", "draft"];
     let nets = ["--masks", "sam2", "--weights", weights.to_str().unwrap(), "--box", "mug=20,30,60,70"];
     let refused = sms(&[&paths[..], &nets].concat());
     assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));

@@ -1,6 +1,6 @@
 //! A plan for the robot is one that the robot can carry out: `sms plan`, then `sms robot`, on the sample scene.
 
-use crate::common::{done, said, sms};
+use crate::common::{copy_materialized_run, done, recording, said, sms};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -12,12 +12,9 @@ fn json(path: &Path) -> Value {
 #[test]
 fn what_is_planned_for_the_robot_passes_every_check() {
     let dir = tempfile::tempdir().unwrap();
-    let (recording, run) = (dir.path().join("sample"), dir.path().join("run"));
-    let task = recording.join("task.toml");
-    let [recording, out, task] = [&recording, &run, &task].map(|p| p.to_str().unwrap());
-    done(&["sample", recording]);
-    done(&["scan", recording, "--out", out, "--preset", "draft"]);
-    done(&["materialize", out]);
+    let (run, task) = (dir.path().join("run"), recording().join("task.toml"));
+    let [out, task] = [&run, &task].map(|p| p.to_str().unwrap());
+    copy_materialized_run(&run);
     let set = ["--set", "plan.evaluations=60"];
     done(&[&["plan", out, "--task", task, "--robust", "0", "--seed", "1"], &set[..]].concat());
     assert!(json(&run.join("plan/plan.json"))["robot"].is_object(), "planned for the arm");

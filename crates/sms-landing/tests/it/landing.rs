@@ -355,7 +355,8 @@ fn held_by_a_brick(board_kg: f64, brick_kg: f64, known_within: impl Fn(&str) -> 
 /// The estimated brick is too heavy and the estimated board too light, so that almost any landing succeeds in the
 /// estimated world.
 #[test]
-fn a_structure_that_is_told_to_be_firmer_than_it_is_stands_all_the_same() {
+#[ignore = "long: plans twice in many worlds"]
+fn long_a_structure_that_is_told_to_be_firmer_than_it_is_stands_all_the_same() {
     let [told, truth] = [(1.0, 2.4), (2.0, 1.0)].map(|(board, brick)| held_by_a_brick(board, brick, |_| 3.0));
     let landing = LandingTask::new([1.6, 0.3]).resolve(&told).unwrap();
     landing.check_rest(&RapierFactory, &truth).unwrap();
