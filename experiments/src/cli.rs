@@ -3,14 +3,14 @@
 use crate::commands::billiards::BilliardsArguments;
 use crate::commands::engines::EnginesArguments;
 use crate::commands::landing::LandingArguments;
-use crate::commands::masks::MasksArguments;
-use crate::commands::materialize::MaterializeArguments;
+use crate::commands::masks::MaskStudyArguments;
+use crate::commands::materialize::MaterializeStudyArguments;
 use crate::commands::merge::MergeArguments;
 use crate::commands::optimisers::OptimisersArguments;
 use crate::commands::physics::PhysicsArguments;
-use crate::commands::plan::PlanArguments;
+use crate::commands::plan::PlanSpeedArguments;
 use crate::commands::robust::RobustArguments;
-use crate::commands::scan::ScanArguments;
+use crate::commands::scan::ScanStudyArguments;
 use crate::commands::scenes::ScenesArguments;
 use crate::commands::score::ScoreArguments;
 use clap::{Parser, Subcommand};
@@ -19,21 +19,21 @@ use sms_cli::front::Common;
 /// Experiments on `sms`: the paper's two, and studies of its stages on scenes with exact truth.
 #[derive(Debug, Parser)]
 #[command(name = "sms-experiments", version, about, propagate_version = true)]
-pub(crate) struct Arguments {
+pub(crate) struct ExperimentArguments {
     #[command(subcommand)]
-    pub command: Command,
+    pub command: Experiment,
     #[command(flatten)]
     pub common: Common,
 }
 
 #[derive(Debug, Subcommand)]
-pub(crate) enum Command {
+pub(crate) enum Experiment {
     /// Scan fixed generated scenes (and the real recordings, where present): time, memory and quality.
-    Scan(Box<ScanArguments>),
+    Scan(Box<ScanStudyArguments>),
     /// Scan models of known shape (../shared/data/meshes) once, and measure the meshes made of the scans.
-    Materialize(Box<MaterializeArguments>),
+    Materialize(Box<MaterializeStudyArguments>),
     /// Compare masks from geometry with the true ones, on billiards scenes, stacked structures and a real shelf.
-    Masks(MasksArguments),
+    Masks(MaskStudyArguments),
     /// Run closed-form experiments in the physics engines: impacts, throw, rolling, sliding, tipping, a stack.
     Physics(PhysicsArguments),
     /// Measure another program's reconstruction of a scene that `sms-experiments scan --export` wrote.
@@ -48,7 +48,7 @@ pub(crate) enum Command {
     /// Simulate the same shots in every engine that is built in, and compare their ends.
     Engines(EnginesArguments),
     /// Measure the speed of simulated shots and of plans, and the share of each part.
-    Plan(PlanArguments),
+    Plan(PlanSpeedArguments),
     /// Determine by brute force whether generated challenge scenes have a straight solution, or only rebounds.
     Scenes(ScenesArguments),
     /// Run the paper's billiards experiment: eighteen scenes are scanned and planned in from many starts, and every plan is

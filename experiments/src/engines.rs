@@ -13,9 +13,9 @@ use sms_task::Action;
 use std::time::Instant;
 
 /// The planner's engine, as a row among the targets.
-struct Planner;
+struct PlannerEngine;
 
-impl Target for Planner {
+impl Target for PlannerEngine {
     fn factory(&self) -> &dyn WorldFactory {
         &RapierFactory
     }
@@ -51,7 +51,7 @@ pub fn run_engines(
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<Metrics, BenchError> {
-    let mut rows: Vec<(&str, Box<dyn Target>)> = vec![("rapier_f32", Box::new(Planner))];
+    let mut rows: Vec<(&str, Box<dyn Target>)> = vec![("rapier_f32", Box::new(PlannerEngine))];
     let mut metrics = Metrics::new();
     for engine in TargetEngine::ALL.into_iter().filter(|e| e.is_built_in()) {
         match engine.target() {
@@ -91,7 +91,7 @@ pub fn run_engines(
 fn best_suggestions(scene: &PlanScene, count: usize) -> Result<Vec<Action>, BenchError> {
     let mut rated: Vec<(f64, Action)> = Vec::new();
     for action in scene.task.suggestions() {
-        if let Some(shot) = shoot(&Planner, scene, &action)? {
+        if let Some(shot) = shoot(&PlannerEngine, scene, &action)? {
             rated.push((shot.objective, action));
         }
     }

@@ -6,32 +6,32 @@ mod cli;
 mod commands;
 
 use clap::Parser;
-use cli::{Arguments, Command};
+use cli::{Experiment, ExperimentArguments};
 use sms_cli::front::{Console, failure};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = ExperimentArguments::parse();
     match Console::new(&arguments.common, false).and_then(|console| run(&console, &arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => failure::report::<sms_experiments::BenchError>(&error),
     }
 }
 
-fn run(console: &Console, command: &Command) -> anyhow::Result<()> {
+fn run(console: &Console, command: &Experiment) -> anyhow::Result<()> {
     match command {
-        Command::Scan(a) => commands::scan::run(console, a),
-        Command::Materialize(a) => commands::materialize::run(console, a),
-        Command::Masks(a) => commands::masks::run(console, a),
-        Command::Physics(a) => commands::physics::run(console, a),
-        Command::Score(a) => commands::score::run(console, a),
-        Command::Optimisers(a) => commands::optimisers::run(console, a),
-        Command::Robust(a) => commands::robust::run(console, a),
-        Command::Engines(a) => commands::engines::run(console, a),
-        Command::Plan(a) => commands::plan::run(console, a),
-        Command::Scenes(a) => commands::scenes::run(console, a),
-        Command::Billiards(a) => commands::billiards::run(console, a),
-        Command::Landing(a) => commands::landing::run(console, a),
-        Command::Merge(a) => commands::merge::run(console, a),
+        Experiment::Scan(a) => commands::scan::run(console, a),
+        Experiment::Materialize(a) => commands::materialize::run(console, a),
+        Experiment::Masks(a) => commands::masks::run(console, a),
+        Experiment::Physics(a) => commands::physics::run(console, a),
+        Experiment::Score(a) => commands::score::run(console, a),
+        Experiment::Optimisers(a) => commands::optimisers::run(console, a),
+        Experiment::Robust(a) => commands::robust::run(console, a),
+        Experiment::Engines(a) => commands::engines::run(console, a),
+        Experiment::Plan(a) => commands::plan::run(console, a),
+        Experiment::Scenes(a) => commands::scenes::run(console, a),
+        Experiment::Billiards(a) => commands::billiards::run(console, a),
+        Experiment::Landing(a) => commands::landing::run(console, a),
+        Experiment::Merge(a) => commands::merge::run(console, a),
     }
 }

@@ -45,7 +45,7 @@ impl RowPlanner<'_> {
         let &Self { bench, robot, seed, progress, cancel } = self;
         let free = view.task.resolve(view.scene).map_err(PlanError::from)?;
         let task = free.clone().with_robot(robot, view.scene)?;
-        let planner = Planner { bench, task: &task, scene: view.scene, seed, cancel };
+        let planner = TaskPlanner { bench, task: &task, scene: view.scene, seed, cancel };
         let count = if row == Row::Ours { starts } else { 1 };
         progress.begin(&format!("bench billiards: plans, {}", row.as_str()), count as u64);
         let (began, cpu) = (Instant::now(), cpu_seconds());
@@ -77,7 +77,7 @@ impl RowPlanner<'_> {
     }
 }
 
-struct Planner<'a> {
+struct TaskPlanner<'a> {
     bench: &'a BilliardsBench,
     task: &'a ResolvedTask,
     scene: &'a Scene,
@@ -85,7 +85,7 @@ struct Planner<'a> {
     cancel: &'a Cancel,
 }
 
-impl Planner<'_> {
+impl TaskPlanner<'_> {
     /// Distance of the target ball from the goal in the scanned world.
     fn idle_m(&self) -> f64 {
         let goal = self.task.goal_w().unwrap_or_default();

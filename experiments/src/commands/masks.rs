@@ -16,7 +16,7 @@ use sms_masks::GeometryConfig;
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct MasksArguments {
+pub(crate) struct MaskStudyArguments {
     /// `all` (the eighteen fixed billiards scenes, four stacked structures, the real shelf), `fixed`, `stacked`, `real`, or
     /// ids such as fixed_08,stacked_box_on_stool,seq_shelf_tissue.
     #[arg(long, value_name = "IDS", default_value = "all")]
@@ -35,7 +35,7 @@ pub(crate) struct MasksArguments {
     pub cache: PathBuf,
 }
 
-pub(crate) fn run(console: &Console, a: &MasksArguments) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &MaskStudyArguments) -> anyhow::Result<()> {
     let base = BenchOptions::new(Preset::Standard, &a.cache);
     let options = BenchOptions {
         load: console.context.settings.section("frames", base.load.clone())?,

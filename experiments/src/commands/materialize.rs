@@ -14,7 +14,7 @@ use sms_pipeline::Device;
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct MaterializeArguments {
+pub(crate) struct MaterializeStudyArguments {
     /// Models with one of these words in their names (default: all eighteen, unless --seeds are given).
     #[arg(long, value_name = "WORDS", value_delimiter = ',')]
     pub objects: Vec<String>,
@@ -67,7 +67,7 @@ pub(crate) enum MaskChoiceName {
     Truth,
 }
 
-pub(crate) fn run(console: &Console, a: &MaterializeArguments) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &MaterializeStudyArguments) -> anyhow::Result<()> {
     let mut scenes = match (&a.objects[..], &a.seeds[..]) {
         ([], [_, ..]) => Vec::new(),
         ([], []) => MODELS.iter().map(|m| BenchScene::Model((*m).to_owned())).collect(),
@@ -143,7 +143,7 @@ pub(crate) fn show_merged(console: &Console, whole: &Shard, out: Option<&PathBuf
 
 fn show(
     console: &Console,
-    a: &MaterializeArguments,
+    a: &MaterializeStudyArguments,
     metrics: &Metrics,
     scenes: &[BenchScene],
     baseline: Option<&Metrics>,
@@ -160,7 +160,7 @@ fn show(
     Ok(())
 }
 
-fn options(console: &Console, a: &MaterializeArguments) -> anyhow::Result<MaterializeOptions> {
+fn options(console: &Console, a: &MaterializeStudyArguments) -> anyhow::Result<MaterializeOptions> {
     if a.frames < HOLDOUT {
         let cure = format!("record at least {HOLDOUT} frames");
         return Err(InputError::new("no frame would be held out", "--frames", cure).into());

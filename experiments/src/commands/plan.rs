@@ -10,7 +10,7 @@ use sms_plan::PlanConfig;
 use std::path::PathBuf;
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct PlanArguments {
+pub(crate) struct PlanSpeedArguments {
     /// Seeds of the generated billiards scenes.
     #[arg(long, value_name = "SEEDS", default_value = "1001..1003")]
     pub seeds: String,
@@ -26,7 +26,7 @@ pub(crate) struct PlanArguments {
 }
 
 /// Plans with the settings of `[plan]`.
-pub(crate) fn run(console: &Console, a: &PlanArguments) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &PlanSpeedArguments) -> anyhow::Result<()> {
     let part = a.shard.as_deref().map(parse_shard).transpose()?.unwrap_or((1, 1));
     let config = console.context.settings.section("plan", PlanConfig::default())?;
     let mut shard =

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 #[derive(Debug, Args, Clone)]
-pub(crate) struct ScanArguments {
+pub(crate) struct ScanStudyArguments {
     /// Preset of the scans.
     #[arg(long, value_enum, default_value = "standard")]
     pub preset: PresetName,
@@ -77,7 +77,7 @@ pub(crate) struct ScanArguments {
     pub child_dir: Option<PathBuf>,
 }
 
-pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
+pub(crate) fn run(console: &Console, a: &ScanStudyArguments) -> anyhow::Result<()> {
     let options = options(console, a)?;
     if let (Some(id), Some(dir)) = (&a.child, &a.child_dir) {
         return run_child(console, &id.parse()?, &options, a.device, dir);
@@ -218,7 +218,7 @@ fn export(
     Ok(())
 }
 
-fn options(console: &Console, a: &ScanArguments) -> anyhow::Result<BenchOptions> {
+fn options(console: &Console, a: &ScanStudyArguments) -> anyhow::Result<BenchOptions> {
     let base = BenchOptions::new(a.preset.preset(), &a.cache);
     let mut disturbance =
         Disturbance { missing: a.missing, color_shift_px: a.color_shift_px, ..Disturbance::default() };
