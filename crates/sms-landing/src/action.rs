@@ -26,4 +26,10 @@ impl LandingAction {
     pub fn values(&self) -> Action {
         Action(vec![self.landing_w[0], self.landing_w[1], self.approach_radius, self.approach_angle])
     }
+
+    /// Builds the action from four values in the order of [`LandingAction::values`]; `None` for any other number.
+    pub fn from_values(action: &Action) -> Option<Self> {
+        let [x, y, approach_radius, approach_angle] = action.0[..] else { return None };
+        Some(Self { landing_w: [x, y], approach_radius, approach_angle })
+    }
 }

@@ -10,9 +10,18 @@ use sms_wash::WashError;
 /// [`StageError::input`] returns it.
 #[derive(Debug, thiserror::Error)]
 pub enum LandingError {
-    /// A bad task file, vehicle file or setting; or a scene without a named body or a usable surface.
+    /// A bad task file, vehicle file or setting.
     #[error(transparent)]
     Input(#[from] InputError),
+    /// No surface of the scene is level and high enough.
+    #[error(transparent)]
+    NoSurface(InputError),
+    /// The vehicle does not fit on any of the surfaces.
+    #[error(transparent)]
+    TooNarrow(InputError),
+    /// The task names a body that the scene does not have.
+    #[error(transparent)]
+    UnknownBody(InputError),
     /// The structure moves before anything flies over it.
     #[error(transparent)]
     AlreadyFalling(InputError),
@@ -47,7 +56,11 @@ pub enum LandingError {
 impl StageError for LandingError {
     fn kind(&self) -> ErrorKind<'_> {
         match self {
-            Self::Input(e) | Self::AlreadyFalling(e) => e.kind(),
+            Self::Input(e)
+            | Self::NoSurface(e)
+            | Self::TooNarrow(e)
+            | Self::UnknownBody(e)
+            | Self::AlreadyFalling(e) => e.kind(),
             Self::Core(e) => e.kind(),
             Self::Plan(e) => e.kind(),
             Self::Sim(_) | Self::Wash(_) | Self::Vehicle(_) | Self::Nothing { .. } => ErrorKind::Other,

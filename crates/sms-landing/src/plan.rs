@@ -162,11 +162,11 @@ impl LandingPlan {
 
     /// Returns the resolved task with the planned surface, independently of the current scene.
     pub fn landing(&self) -> ResolvedLanding {
-        ResolvedLanding {
-            task: self.task.clone(),
-            vehicle: self.vehicle.clone(),
-            surface: self.surface.clone(),
-            structure: self.structure.clone(),
-        }
+        ResolvedLanding::of(
+            self.task.clone(),
+            self.vehicle.clone(),
+            self.surface.clone(),
+            self.structure.clone(),
+        )
     }
 }

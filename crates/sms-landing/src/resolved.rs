@@ -35,10 +35,10 @@ impl Default for CarriedOut {
 /// A landing task with the surface and the structure found in a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResolvedLanding {
-    pub(crate) task: LandingTask,
-    pub(crate) vehicle: Quadrotor,
-    pub(crate) surface: LandingSurface,
-    pub(crate) structure: Vec<String>,
+    task: LandingTask,
+    vehicle: Quadrotor,
+    surface: LandingSurface,
+    structure: Vec<String>,
 }
 
 impl LandingTask {
@@ -91,6 +91,15 @@ fn connected(scene: &Scene, platform: &str) -> Result<Vec<String>, LandingError>
 }
 
 impl ResolvedLanding {
+    pub(crate) fn of(
+        task: LandingTask,
+        vehicle: Quadrotor,
+        surface: LandingSurface,
+        structure: Vec<String>,
+    ) -> Self {
+        Self { task, vehicle, surface, structure }
+    }
+
     /// Returns the task.
     pub fn task(&self) -> &LandingTask {
         &self.task

@@ -118,21 +118,21 @@ struct Patch {
 /// Returns the height of the scene's floor, metres; 0 without one.
 fn floor_height(scene: &Scene) -> f64 {
     let floors = scene.bodies.iter().filter(|b| matches!(b.shape, BodyShape::HalfSpace));
-    floors.map(|b| b.x_wb.translation.z).reduce(f64::max).unwrap_or(0.0)
+    floors
+        .map(|b| b.x_wb.translation.z)
+        .fold(None, |a: Option<f64>, z| Some(a.map_or(z, |a| a.max(z))))
+        .unwrap_or(0.0)
 }
 
 impl LandingSurface {
     /// Finds the task's surface: the largest level surface that is high enough and on which the vehicle fits.
     pub(crate) fn find(task: &LandingTask, vehicle: &Quadrotor, scene: &Scene) -> Result<Self, LandingError> {
-        let wanted = match task.chooses_platform() {
-            true => None,
-            false => Some(body_index(task, scene, "platform", &task.platform)?),
-        };
+        let wanted = wanted_body(task, scene)?;
         let surfaces = wash_surfaces(scene)?;
         let (grid, seen) = look_down(scene, &surfaces, &task.surface);
         let patches = patches(&grid, &seen, wanted, floor_height(scene) + task.surface.height_m);
         if patches.is_empty() {
-            return Err(no_surface(task, scene, &grid, &seen).into());
+            return Err(no_surface(task, scene, &grid, &seen));
         }
         let mut best: Option<(Self, usize)> = None;
         for patch in &patches {
@@ -142,8 +142,7 @@ impl LandingSurface {
                 best = Some((Self::of(scene, grid, &seen, patch, fits), patch.cells.len()));
             }
         }
-        best.map(|(surface, _)| surface)
-            .ok_or_else(|| too_narrow(task, vehicle, scene, &grid, &patches).into())
+        best.map(|(surface, _)| surface).ok_or_else(|| too_narrow(task, vehicle, scene, &grid, &patches))
     }
 
     fn of(scene: &Scene, grid: Grid, seen: &[Option<Seen>], patch: &Patch, fits: Vec<bool>) -> Self {
@@ -196,20 +195,28 @@ impl LandingSurface {
     }
 }
 
+/// Returns the index of the platform that the task names.
+fn wanted_body(task: &LandingTask, scene: &Scene) -> Result<Option<usize>, LandingError> {
+    if task.chooses_platform() {
+        return Ok(None);
+    }
+    body_index(task, scene, "platform", &task.platform).map(Some)
+}
+
 /// Returns the index of a body that the task names.
 pub(crate) fn body_index(
     task: &LandingTask,
     scene: &Scene,
     key: &str,
     name: &str,
-) -> Result<usize, InputError> {
+) -> Result<usize, LandingError> {
     scene.body_index(name).ok_or_else(|| {
         let known: Vec<&str> = scene.bodies.iter().map(|b| b.name.as_str()).collect();
-        InputError::new(
+        LandingError::UnknownBody(InputError::new(
             format!("`{key}` names the body `{name}`, which scene `{}` does not have", scene.name),
             task.path(),
             format!("name one of its bodies ({}), or write \"auto\"", known.join(", ")),
-        )
+        ))
     })
 }
 
@@ -350,7 +357,7 @@ fn extent_along(along: DVec2, points: impl Iterator<Item = DVec2>) -> (DVec2, DV
     local.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)))
 }
 
-fn no_surface(task: &LandingTask, scene: &Scene, grid: &Grid, seen: &[Option<Seen>]) -> InputError {
+fn no_surface(task: &LandingTask, scene: &Scene, grid: &Grid, seen: &[Option<Seen>]) -> LandingError {
     let level = patches(grid, seen, None, f64::NEG_INFINITY);
     let highest =
         level.iter().map(|p| (median_height(seen, &p.cells), p.body)).max_by(|a, b| a.0.total_cmp(&b.0));
@@ -363,17 +370,19 @@ fn no_surface(task: &LandingTask, scene: &Scene, grid: &Grid, seen: &[Option<See
         None => "none of its surfaces is level".to_owned(),
     };
     let of = if task.chooses_platform() { String::new() } else { format!(" of `{}`", task.platform) };
-    InputError::new(
-        format!(
-            "scene `{}` has no surface{of} to land on: none is level within {:.0}° and at least {:.2} m high",
-            scene.name,
-            task.surface.slope_rad.to_degrees(),
-            task.surface.height_m
-        ),
-        task.path(),
-        "name another `platform`, lower `surface.height_m`, or scan the landing surface from above",
+    LandingError::NoSurface(
+        InputError::new(
+            format!(
+                "scene `{}` has no surface{of} to land on: none is level within {:.0}° and at least {:.2} m high",
+                scene.name,
+                task.surface.slope_rad.to_degrees(),
+                task.surface.height_m
+            ),
+            task.path(),
+            "name another `platform`, lower `surface.height_m`, or scan the landing surface from above",
+        )
+        .because(known),
     )
-    .because(known)
 }
 
 fn too_narrow(
@@ -382,7 +391,7 @@ fn too_narrow(
     scene: &Scene,
     grid: &Grid,
     patches: &[Patch],
-) -> InputError {
+) -> LandingError {
     let feet = Aabb::of_points(vehicle.feet.iter().copied()).map_or(DVec3::ZERO, |b| b.extents());
     let needs = feet.truncate() + 2.0 * vehicle.foot_half;
     let largest = patches.iter().max_by_key(|p| p.cells.len());
@@ -394,7 +403,8 @@ fn too_narrow(
             scene.bodies[p.body].name, size.x, size.y
         )
     });
-    InputError::new(
+    LandingError::TooNarrow(
+        InputError::new(
             format!(
                 "the vehicle `{}` is wider than every surface that it could land on: its feet need {:.2} m × {:.2} m, and its \
                  propellers a circle of {:.2} m without obstacles",
@@ -406,5 +416,6 @@ fn too_narrow(
             task.path(),
             "take a smaller `vehicle`, or name another `platform`",
         )
-        .because(has)
+        .because(has),
+    )
 }
