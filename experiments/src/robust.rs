@@ -5,7 +5,7 @@ use crate::robust_table::summarise;
 use crate::{BenchError, MaterialPrior, PlanScene, SceneFamily, TrueWorlds};
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, Hash, InputError, Progress, Seed, StageContext, Warnings, hash_serializable};
-use sms_plan::{Perturbation, PlanConfig, plan, search_nominal};
+use sms_plan::{Perturbation, PlanConfig, optimiser, plan, search_nominal};
 use sms_sim::{RapierFactory, WorldFactory};
 use sms_target::TargetEngine;
 use std::collections::BTreeMap;
@@ -368,17 +368,18 @@ impl Running<'_> {
         let factory = self.engine.unwrap_or(&RapierFactory);
         let budget = self.bench.oracle_evaluations;
         let config = PlanConfig { evaluations: budget, ..PlanConfig::default() };
-        let seed = Seed(scene.seed).derive("oracle");
+        let seed = Seed(scene.seed).derive("oracle").derive("search");
         let clock = ThreadClock::start();
         let found = search_nominal(
             &scene.task,
             worlds.scene(0),
             factory,
-            &config,
+            &|space, feasible| optimiser(space, &config, seed, feasible),
             budget,
-            StageContext::quiet(cancel, &Warnings::new()).with_seed(seed),
+            cancel,
         )?;
-        let best = found.best().map_or_else(|| scene.task.initial_objective(), |t| t.objective);
+        let best = Some(found.best()).filter(|v| v.is_finite());
+        let best = best.unwrap_or_else(|| scene.task.initial_objective());
         let mut metrics = Metrics::new();
         metrics.set(format!("{prefix}best_m"), best);
         metrics.set(format!("{prefix}initial_m"), scene.task.initial_objective());

@@ -5,7 +5,7 @@ use crate::{
     CarriedOut, LandingAction, LandingError, LandingOutcome, LandingTask, ParticleFrame, QUADROTOR,
     ResolvedLanding,
 };
-use glamx::{DPose3, DQuat, DVec3};
+use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, Interval, Property, PropertySource};
 use sms_robots::{Flight, Rotor};
@@ -76,6 +76,7 @@ pub struct LandingWorld {
 }
 
 /// Log of a rollout.
+#[derive(Default)]
 struct Log {
     impulses_w: Vec<DVec3>,
     peaks: Vec<f64>,
@@ -133,7 +134,7 @@ impl LandingWorld {
             used: false,
             can_restore: false,
         };
-        let parked = hovering(landing.start_w());
+        let parked = BodyState::at_rest(DPose3::from_translation(landing.start_w()));
         for _ in 0..(SETTLE_S / landing.task().dt).round() as usize {
             world.simulation.set_state(world.vehicle, &parked);
             world.simulation.advance(landing.task().dt)?;
@@ -174,7 +175,9 @@ impl LandingWorld {
             wash.restore();
         }
         let flight = self.landing.flight(action, &options.carried_out)?;
-        let mut log = Log::new(self.structure.len());
+        let bodies = self.structure.len();
+        let (impulses_w, peaks) = (vec![DVec3::ZERO; bodies], vec![0.0; bodies]);
+        let mut log = Log { impulses_w, peaks, ..Log::default() };
         match self.run(&flight, action, options, &mut log) {
             Ok(outcome) => Ok(outcome),
             Err(e) if e.is_invalid_rollout() => {
@@ -401,34 +404,6 @@ impl LandingWorld {
             log.particles.push(ParticleFrame { time_s: t, particles_w });
         }
     }
-}
-
-impl std::fmt::Debug for LandingWorld {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("LandingWorld")
-            .field("simulation", &self.simulation)
-            .field("wash", &self.wash_name)
-            .finish_non_exhaustive()
-    }
-}
-
-impl Log {
-    fn new(bodies: usize) -> Self {
-        Self {
-            impulses_w: vec![DVec3::ZERO; bodies],
-            peaks: vec![0.0; bodies],
-            toppled_s: None,
-            still_s: 0.0,
-            trajectory: Trajectory::default(),
-            particles: Vec::new(),
-            next_record_s: 0.0,
-        }
-    }
-}
-
-/// Returns a level state at rest.
-fn hovering(p_w: DVec3) -> BodyState {
-    BodyState { x_wb: DPose3::from_parts(p_w, DQuat::IDENTITY), v_w: DVec3::ZERO, w_w: DVec3::ZERO }
 }
 
 /// Returns the vehicle as a body at the start of its flight.

@@ -1,6 +1,6 @@
 //! Interface of optimisers that spend a whole budget and evaluate their points in parallel.
 
-use crate::{PlanError, TrialPhase};
+use crate::{Minimum, PlanError, TrialPhase};
 use rayon::prelude::*;
 
 /// A point of the unit box to evaluate.
@@ -21,14 +21,8 @@ pub struct StartRecord {
     pub initial: Vec<f64>,
     /// Objective at this point.
     pub initial_objective: f64,
-    /// The best point.
-    pub x: Vec<f64>,
-    /// Objective at the best point.
-    pub objective: f64,
-    /// Rollouts used.
-    pub evaluations: usize,
-    /// Iterations (generations) used.
-    pub iterations: usize,
+    /// The result so far; its iterations are generations for a population.
+    pub found: Minimum,
     /// Number of infeasible points that the search proposed.
     pub refused: usize,
 }
@@ -39,9 +33,6 @@ pub struct StartRecord {
 /// not depend on the number of threads. Values may be infinite (an invalid rollout), never NaN. Infeasible points
 /// have no value and cost no budget; the search proposes others instead.
 pub trait BatchOptimiser {
-    /// Name for tables ("halving").
-    fn name(&self) -> &'static str;
-
     /// The next points, at most `room` (the remaining budget, at least 1). Empty when the search has ended.
     fn ask(&mut self, room: usize) -> Vec<Proposal>;
 
@@ -73,7 +64,7 @@ pub fn drive(
     while log.len() < budget && refused < budget.saturating_mul(MOST_REFUSED) {
         let room = budget - log.len();
         let mut asked = optimiser.ask(room);
-        debug_assert!(asked.len() <= room, "{} asks for more than is left", optimiser.name());
+        debug_assert!(asked.len() <= room, "the optimiser asks for more than is left");
         asked.truncate(room);
         if asked.is_empty() {
             break;

@@ -1,6 +1,6 @@
 //! Counts and progress of rollouts.
 
-use crate::rollout_outcome::RolloutOutcome;
+use crate::prediction::RolloutOutcome;
 use crate::{InvalidRollout, PlanError, Refusal};
 use sms_core::{Cancel, Progress};
 use sms_sim::SimError;

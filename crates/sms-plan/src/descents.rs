@@ -21,7 +21,6 @@ pub(crate) enum Sharing {
 /// Settings of [`Descents`].
 #[derive(Debug, Clone)]
 pub(crate) struct DescentSettings {
-    pub(crate) name: &'static str,
     pub(crate) nelder_mead: NelderMead,
     pub(crate) initial_step: f64,
     pub(crate) starts: usize,
@@ -224,10 +223,6 @@ fn random_simplex(space: &Space, seed: Seed, feasible: Feasible<'_>) -> Result<D
 }
 
 impl BatchOptimiser for Descents {
-    fn name(&self) -> &'static str {
-        self.settings.name
-    }
-
     fn ask(&mut self, room: usize) -> Vec<Proposal> {
         if !self.screened {
             self.screen.truncate(room);
@@ -280,10 +275,7 @@ impl BatchOptimiser for Descents {
                 StartRecord {
                     initial: m.initial.clone(),
                     initial_objective: m.initial_objective.unwrap_or(found.objective),
-                    x: found.x,
-                    objective: found.objective,
-                    evaluations: found.evaluations,
-                    iterations: found.iterations,
+                    found,
                     refused: m.passed_over + m.search.refused(),
                 }
             })

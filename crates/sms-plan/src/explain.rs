@@ -11,7 +11,7 @@ use crate::{
 };
 use sms_core::{MassProperties, length_text};
 use sms_scene::{Body, BodyKind};
-use sms_sim::{BodyId, SimError};
+use sms_sim::BodyId;
 use sms_task::{Action, MotionRecording, Rollout};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -45,7 +45,6 @@ pub(crate) struct Explanation<'a> {
 
 /// A recorded shot.
 struct ShotRecord {
-    objective: f64,
     story: Story,
     rollout: Rollout,
 }
@@ -93,7 +92,7 @@ impl Explanation<'_> {
                 spent += 1;
                 // An invalid rollout is no evidence.
                 let Some(other) = other else { continue };
-                if matters(look.objective, other.objective) {
+                if matters(look.rollout.objective, other.rollout.objective) {
                     found.push(self.counterfactual(winner.strategy.clone(), &change, &look, &other, 1));
                 }
             }
@@ -190,10 +189,10 @@ impl Explanation<'_> {
                 else {
                     continue;
                 };
-                if matters(other.objective, look.objective) {
+                if matters(other.rollout.objective, look.rollout.objective) {
                     explained.push(body);
                     let c = self.counterfactual(name.clone(), change, &look, &other, shots);
-                    let text = rejected(&c, matters(other.objective, chosen[0].objective));
+                    let text = rejected(&c, matters(other.rollout.objective, chosen[0].objective));
                     reasons.push(Reason { text, counterfactual: Some(c) });
                 }
             }
@@ -315,9 +314,7 @@ impl Explanation<'_> {
         let mut seen = None;
         let objective = self.session.counter.count(|| {
             let recording = Some(MotionRecording { every_s: EVERY_S });
-            let rollout: Result<Rollout, SimError> =
-                world.rollout(&self.session.task.strike(action), recording);
-            let rollout = rollout?;
+            let rollout = world.rollout(&self.session.task.strike(action), recording)?;
             let objective = rollout.objective;
             seen = Some(self.look_of(rollout));
             Ok(objective)
@@ -328,7 +325,7 @@ impl Explanation<'_> {
 
     fn look_of(&self, rollout: Rollout) -> ShotRecord {
         let story = story_of(&rollout.contacts, rollout.closest_s, self.session.scene, self.session.task);
-        ShotRecord { objective: rollout.objective, story, rollout }
+        ShotRecord { story, rollout }
     }
 
     fn counterfactual(
@@ -346,7 +343,7 @@ impl Explanation<'_> {
             body,
             property: change.property,
             values: change.values,
-            objectives: [look.objective, other.objective],
+            objectives: [look.rollout.objective, other.rollout.objective],
             shots,
         }
     }

@@ -1,6 +1,6 @@
 //! The plan: result of the planning stage.
 
-use crate::{Prediction, Reason, RobustObjective, Sensitivity, Strategy};
+use crate::{BodyProperty, Prediction, RobustObjective, Strategy, Unknown};
 use serde::{Deserialize, Deserializer, Serialize};
 use sms_robots::RobotConfig;
 use sms_task::{Action, AgainstPrediction, Parameter, Trajectory};
@@ -60,6 +60,56 @@ pub struct InvalidRollout {
     pub count: usize,
     /// An example: engine, time and measured value.
     pub example: String,
+}
+
+/// A comparison of one shot in the scanned world and in a world where one property of one body differs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Counterfactual {
+    /// The strategy.
+    pub strategy: String,
+    /// The body that the strategy relies on.
+    pub body: String,
+    /// The property that differs.
+    pub property: BodyProperty,
+    /// The value in the scanned world and the value in the other one.
+    pub values: [f64; 2],
+    /// Objective in the scanned world and in the other one.
+    pub objectives: [f64; 2],
+    /// Displacement of the body in both worlds, metres.
+    pub moved_m: [f64; 2],
+    /// Number of shots of the strategy that were tried in the other world: 1 for the chosen shot, which is repeated
+    /// unchanged.
+    pub shots: usize,
+}
+
+/// One reason for the choice.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Reason {
+    /// The reason as a sentence.
+    pub text: String,
+    /// The rollouts behind it; `None` for a comparison of two strategies' predictions.
+    pub counterfactual: Option<Counterfactual>,
+}
+
+/// Effect of one unknown on the chosen action.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Sensitivity {
+    /// The unknown.
+    pub unknown: Unknown,
+    /// Root mean square change of the objective when only this unknown is perturbed, in the task's unit.
+    pub change: f64,
+    /// Share of this unknown in the sum of the mean squares over all unknowns.
+    pub share: f64,
+    /// For an important material, the property with the largest effect when perturbed alone.
+    #[serde(default)]
+    pub property: Option<BodyProperty>,
+}
+
+impl std::fmt::Display for Sensitivity {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", self.unknown)?;
+        self.property.map_or(Ok(()), |p| write!(f, ", mostly its {}", p.as_str()))
+    }
 }
 
 /// The chosen action with its prediction.

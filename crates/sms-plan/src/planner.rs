@@ -4,10 +4,10 @@ use crate::candidate::{RobustCandidate, key};
 use crate::config::SOLVED;
 use crate::counter::{Counter, Reasons};
 use crate::explain::Explanation;
+use crate::prediction::RolloutOutcome;
 use crate::robust::RobustChoice;
-use crate::rollout_outcome::RolloutOutcome;
 use crate::screening::Feasible;
-use crate::search::{SearchLog, optimiser, search, search_by};
+use crate::search::{SearchLog, optimiser, search};
 use crate::sensitivity_analysis::SensitivityAnalysis;
 use crate::session::Session;
 use crate::space::Space;
@@ -15,7 +15,7 @@ use crate::strategy::touched;
 use crate::worlds::{PerturbedWorlds, Worlds};
 use crate::{
     BatchOptimiser, Plan, PlanConfig, PlanError, PlanOutcome, Prediction, Reason, Refusal, Sensitivity,
-    StartSummary, Strategy, Trial, TrialPhase,
+    Strategy, Trial, TrialPhase,
 };
 use sms_core::{Cancel, InputError, NoProgress, StageContext, Warnings};
 use sms_scene::Scene;
@@ -174,7 +174,8 @@ impl<'a> Planning<'a> {
                 _ => session.seed.derive_index("search anew", round as u64),
             };
             let feasible = |x: &[f64]| session.is_feasible(x);
-            found.append(search(&session.space, &settings, seed, config.budget(), &feasible, &objective)?);
+            let mut optimiser = optimiser(&session.space, &settings, seed, &feasible)?;
+            found.append(search(optimiser.as_mut(), &session.space, config.budget(), &feasible, &objective)?);
             if found.best() <= SOLVED * session.task.success_m() {
                 break;
             }
@@ -300,21 +301,8 @@ fn strategies(
     chosen.iter().zip(predictions).zip(forecast).map(strategy).collect()
 }
 
-/// The result of a search of the nominal world alone.
-#[derive(Debug, Clone, PartialEq)]
-pub struct NominalSearch {
-    /// Every rollout: the screening, then the local searches in order of their starts.
-    pub trials: Vec<Trial>,
-    /// The local searches.
-    pub starts: Vec<StartSummary>,
-}
-
-impl NominalSearch {
-    /// The best valid trial.
-    pub fn best(&self) -> Option<&Trial> {
-        self.trials.iter().filter(|t| t.valid).min_by(|a, b| a.objective.total_cmp(&b.objective))
-    }
-}
+/// Constructs an optimiser for the box of actions. It may first try points that are feasible.
+pub type MakeOptimiser<'a> = &'a dyn Fn(&Space, Feasible<'_>) -> Result<Box<dyn BatchOptimiser>, PlanError>;
 
 /// Searches the nominal world with at most `budget` rollouts: the first part of [`plan`], for comparisons of methods.
 ///
@@ -324,40 +312,18 @@ pub fn search_nominal(
     task: &ResolvedTask,
     scene: &Scene,
     factory: &dyn WorldFactory,
-    config: &PlanConfig,
-    budget: usize,
-    context: StageContext<'_>,
-) -> Result<NominalSearch, PlanError> {
-    config.validate(Path::new(SETTINGS))?;
-    let seed = context.seed.derive("search");
-    let make = |space: &Space, feasible: Feasible<'_>| optimiser(space, config, seed, feasible);
-    search_nominal_by(task, scene, factory, &make, budget, context.cancel)
-}
-
-/// Constructs an optimiser for the box of actions. It may first try points that are feasible.
-pub type MakeOptimiser<'a> = &'a dyn Fn(&Space, Feasible<'_>) -> Result<Box<dyn BatchOptimiser>, PlanError>;
-
-/// Like [`search_nominal`], with a given optimiser.
-///
-/// # Errors
-/// As [`search_nominal`].
-pub fn search_nominal_by(
-    task: &ResolvedTask,
-    scene: &Scene,
-    factory: &dyn WorldFactory,
     make: MakeOptimiser<'_>,
     budget: usize,
     cancel: &Cancel,
-) -> Result<NominalSearch, PlanError> {
+) -> Result<SearchLog, PlanError> {
     let space = Space::new(task);
     let nominal = Worlds::new(task, Cow::Borrowed(scene), factory)?;
     let counter = Counter::new(&NoProgress, cancel);
     let feasible = |x: &[f64]| counter.draw(task, &space.action(x));
     let mut optimiser = make(&space, &feasible)?;
-    let found = search_by(optimiser.as_mut(), &space, budget, &feasible, &|x| {
+    search(optimiser.as_mut(), &space, budget, &feasible, &|x| {
         counter.count(|| nominal.objective(&task.strike(&space.action(x))))
-    })?;
-    Ok(NominalSearch { trials: found.trials, starts: found.starts })
+    })
 }
 
 /// Number of refused strikes.

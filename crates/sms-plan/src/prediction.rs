@@ -1,7 +1,6 @@
 //! Predicted distribution of the objective over perturbed worlds.
 
 use crate::perturbation::quantile;
-use crate::rollout_outcome::RolloutOutcome;
 use serde::{Deserialize, Serialize};
 
 /// Statistic that is minimised over perturbed worlds.
@@ -42,6 +41,27 @@ impl RobustObjective {
 /// Orders two ranks.
 pub(crate) fn compare(a: (usize, f64), b: (usize, f64)) -> std::cmp::Ordering {
     a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+}
+
+/// The outcome of one rollout.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum RolloutOutcome {
+    /// Valid, with its objective.
+    Done(f64),
+    /// The simulation failed.
+    Invalid,
+    /// The robot cannot carry out the strike; nothing was simulated.
+    Refused,
+}
+
+impl RolloutOutcome {
+    /// The value that searches minimise: infinite without an objective.
+    pub(crate) fn objective(self) -> f64 {
+        match self {
+            Self::Done(objective) => objective,
+            Self::Invalid | Self::Refused => f64::INFINITY,
+        }
+    }
 }
 
 /// The distribution of the objective over perturbed worlds, in the task's unit.

@@ -20,15 +20,17 @@ pub(crate) struct ScoredPoint {
 
 /// All evaluations of a search, in an order that does not depend on threads.
 #[derive(Debug, Default)]
-pub(crate) struct SearchLog {
+pub struct SearchLog {
     pub(crate) scored: Vec<ScoredPoint>,
-    pub(crate) starts: Vec<StartSummary>,
-    pub(crate) trials: Vec<Trial>,
+    /// The local searches.
+    pub starts: Vec<StartSummary>,
+    /// Every rollout: the screening, then the local searches in order of their starts.
+    pub trials: Vec<Trial>,
 }
 
 impl SearchLog {
     /// The best objective; infinite without a valid evaluation.
-    pub(crate) fn best(&self) -> f64 {
+    pub fn best(&self) -> f64 {
         self.scored.iter().map(|s| s.objective).fold(f64::INFINITY, f64::min)
     }
 
@@ -47,15 +49,17 @@ impl SearchLog {
 }
 
 /// Creates the configured optimiser, with screened points and random simplexes of feasible strikes.
-pub(crate) fn optimiser(
+///
+/// # Errors
+/// The first error of `feasible`.
+pub fn optimiser(
     space: &Space,
     config: &PlanConfig,
     seed: Seed,
     feasible: Feasible<'_>,
 ) -> Result<Box<dyn BatchOptimiser>, PlanError> {
     let screening = (config.evaluations as f64 * config.screening_share).round() as usize;
-    let descents = |name, sharing| DescentSettings {
-        name,
+    let descents = |sharing| DescentSettings {
         nelder_mead: config.nelder_mead,
         initial_step: config.initial_step,
         starts: config.starts,
@@ -64,29 +68,15 @@ pub(crate) fn optimiser(
     Ok(Box::new(match config.method {
         Method::Halving => {
             let screen = points(space, config.suggestions, seed, screening.max(1), feasible)?;
-            Descents::screened(space, descents("halving", Sharing::Halving(config.survivors)), screen)
+            Descents::screened(space, descents(Sharing::Halving(config.survivors)), screen)
         }
-        Method::MultiStart => {
-            Descents::random(space, descents("multi_start", Sharing::Even), seed, feasible)?
-        }
+        Method::MultiStart => Descents::random(space, descents(Sharing::Even), seed, feasible)?,
     }))
 }
 
 /// Searches with at most `budget` evaluations. Infeasible strikes do not count: screening and populations draw other
 /// strikes, and a simplex retreats towards its best point.
 pub(crate) fn search(
-    space: &Space,
-    config: &PlanConfig,
-    seed: Seed,
-    budget: usize,
-    feasible: Feasible<'_>,
-    objective: ObjectiveFn<'_>,
-) -> Result<SearchLog, PlanError> {
-    search_by(optimiser(space, config, seed, feasible)?.as_mut(), space, budget, feasible, objective)
-}
-
-/// Runs [`search`] with a given optimiser.
-pub(crate) fn search_by(
     optimiser: &mut dyn BatchOptimiser,
     space: &Space,
     budget: usize,
@@ -113,10 +103,10 @@ pub(crate) fn search_by(
             start,
             initial: space.action(&s.initial),
             initial_objective: s.initial_objective,
-            action: space.action(&s.x),
-            objective: s.objective,
-            evaluations: s.evaluations,
-            iterations: s.iterations,
+            action: space.action(&s.found.x),
+            objective: s.found.objective,
+            evaluations: s.found.evaluations,
+            iterations: s.found.iterations,
             refused: s.refused,
             objective_q90: None,
         })
@@ -143,12 +133,23 @@ mod tests {
         Space::of(names.map(parameter).to_vec(), vec![[0.0, 1.0], [0.4, 0.6], [0.0, 1.0], [0.0, 1.0]])
     }
 
+    fn search_as(
+        config: &PlanConfig,
+        seed: Seed,
+        budget: usize,
+        feasible: Feasible<'_>,
+        objective: ObjectiveFn<'_>,
+    ) -> Result<SearchLog, PlanError> {
+        let mut optimiser = optimiser(&space(), config, seed, feasible)?;
+        search(optimiser.as_mut(), &space(), budget, feasible, objective)
+    }
+
     #[test]
     fn screening_finds_a_narrow_valley_within_its_budget() {
         for (method, limit) in [(Method::MultiStart, 30 * 5 * 30), (Method::Halving, 400)] {
             let config = PlanConfig { method, evaluations: 400, ..PlanConfig::draft() };
             let count = AtomicUsize::new(0);
-            let found = search(&space(), &config, Seed(3), limit, &|_| Ok(true), &|x| {
+            let found = search_as(&config, Seed(3), limit, &|_| Ok(true), &|x| {
                 assert!(x.iter().all(|v| (0.0..=1.0).contains(v)));
                 count.fetch_add(1, Ordering::SeqCst);
                 valley(x)
@@ -176,7 +177,7 @@ mod tests {
         for method in Method::ALL {
             let config = PlanConfig { method, evaluations: 400, starts: 8, ..PlanConfig::draft() };
             let feasible = |x: &[f64]| Ok(strip(x));
-            let found = search(&space(), &config, Seed(3), 400, &feasible, &|x| {
+            let found = search_as(&config, Seed(3), 400, &feasible, &|x| {
                 assert!(strip(x), "{method:?} evaluates an infeasible point");
                 valley(x)
             })
@@ -198,7 +199,7 @@ mod tests {
         let value = |x: &[f64]| Ok((x[0] - 0.2).hypot(x[1] - 0.8) + 0.1 * (x[2] - 0.3).hypot(x[3] - 0.6));
         for method in Method::ALL {
             let config = PlanConfig { method, evaluations: 600, starts: 6, ..PlanConfig::draft() };
-            let found = search(&space(), &config, Seed(5), 600, &can, &value).unwrap();
+            let found = search_as(&config, Seed(5), 600, &can, &value).unwrap();
             let refused: usize = found.starts.iter().map(|s| s.refused).sum();
             assert!(refused > 5, "{method:?}: {refused}");
             // On the border the distance is (0.1)/√2.
@@ -210,7 +211,7 @@ mod tests {
     #[test]
     fn a_start_without_a_feasible_point_says_so() {
         let config = PlanConfig { method: Method::MultiStart, starts: 3, ..PlanConfig::paper() };
-        let found = search(&space(), &config, Seed(5), 600, &|_| Ok(false), &valley).unwrap();
+        let found = search_as(&config, Seed(5), 600, &|_| Ok(false), &valley).unwrap();
         assert!(found.trials.is_empty() && found.starts.len() == 3);
         for start in &found.starts {
             assert!(
@@ -227,7 +228,7 @@ mod tests {
             for feasible in [&|_: &[f64]| Ok(true), &|x: &[f64]| Ok(strip(x))] as [Feasible<'_>; 2] {
                 let run = |threads: usize| {
                     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                    let run = || search(&space(), &config, Seed(1), 480, feasible, &valley);
+                    let run = || search_as(&config, Seed(1), 480, feasible, &valley);
                     let found = pool.install(run).unwrap();
                     (found.trials, found.starts)
                 };
@@ -239,7 +240,7 @@ mod tests {
     #[test]
     fn appended_searches_are_numbered_after_the_first() {
         let config = PlanConfig { evaluations: 100, starts: 4, ..PlanConfig::draft() };
-        let run = |seed| search(&space(), &config, Seed(seed), 100, &|_| Ok(true), &valley).unwrap();
+        let run = |seed| search_as(&config, Seed(seed), 100, &|_| Ok(true), &valley).unwrap();
         let (mut both, second) = (run(1), run(2));
         let (trials, starts) = (both.trials.clone(), both.starts.len());
         let best = both.best().min(second.best());
@@ -256,7 +257,7 @@ mod tests {
 
     #[test]
     fn the_first_error_ends_the_search() {
-        let result = search(&space(), &PlanConfig::draft(), Seed(1), 100, &|_| Ok(true), &|_| {
+        let result = search_as(&PlanConfig::draft(), Seed(1), 100, &|_| Ok(true), &|_| {
             Err(PlanError::Core(sms_core::CoreError::Interrupted))
         });
         assert!(matches!(result, Err(PlanError::Core(sms_core::CoreError::Interrupted))));

@@ -1,6 +1,6 @@
 //! Worlds: pools of simulations that rollouts borrow, for the scanned scene and for perturbed ones.
 
-use crate::rollout_outcome::RolloutOutcome;
+use crate::prediction::RolloutOutcome;
 use crate::session::Session;
 use crate::{PlanError, Unknown};
 use rayon::prelude::*;

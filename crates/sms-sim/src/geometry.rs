@@ -1,6 +1,6 @@
 //! Collision shapes for contact timing and rolling resistance, independent of the engine.
 
-use crate::{BodyState, KinematicShape, SimError, StrikerMotion};
+use crate::{BodyState, SimError, StrikerMotion};
 use glamx::{DPose3, DQuat, DVec3};
 use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::{ConvexPolyhedron, Cuboid, TriMesh};
@@ -186,8 +186,9 @@ impl BodyGeometry {
         }))
     }
 
-    pub(crate) fn of_kinematic(shape: KinematicShape) -> Self {
-        Self::new(vec![CollisionPart::Cuboid(Cuboid::new(shape.half))])
+    /// A box about the origin with these half extents.
+    pub(crate) fn of_box(half: DVec3) -> Self {
+        Self::new(vec![CollisionPart::Cuboid(Cuboid::new(half))])
     }
 }
 

@@ -53,10 +53,10 @@ pub use rapier::{NamedRapierF64, RapierF64Factory, RapierFactory};
 pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
 pub use simulation::{Simulation, SimulationProfile};
 pub use sms_robots::SEGMENT_M;
+pub use sms_wash::BodyState;
 pub use striker::{FINGER_HALF, Striker, StrikerMotion};
 pub use tipping::{LoadRamp, LoadTest, ramp_load_n, tipping_load_n};
 pub use wash::{WashInWorld, wash_surfaces};
 pub use world::{
-    ArmKind, BodyId, BodyState, ContactEvent, KinematicShape, PhysicsViolation, SimError, World,
-    WorldFactory, WorldOptions,
+    ArmKind, BodyId, ContactEvent, PhysicsViolation, SimError, World, WorldFactory, WorldOptions,
 };

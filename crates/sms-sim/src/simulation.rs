@@ -2,13 +2,13 @@
 
 use crate::arm::ArmInWorld;
 use crate::engine_arm::EngineArm;
-use crate::geometry::{BodyGeometry, CollisionPart};
-use crate::striker::RETRACTION_M;
+use crate::geometry::BodyGeometry;
+use crate::striker::{FINGER_HALF, RETRACTION_M};
 use crate::support::BallSupport;
 use crate::timing::TOUCH_GAP;
 use crate::{
-    ArmKind, BodyId, BodyState, ContactEvent, KinematicShape, SimError, Striker, StrikerMotion, World,
-    WorldFactory, WorldOptions,
+    ArmKind, BodyId, BodyState, ContactEvent, SimError, Striker, StrikerMotion, World, WorldFactory,
+    WorldOptions,
 };
 use glamx::DVec3;
 use sms_robots::SweepDrive;
@@ -236,31 +236,30 @@ impl Simulation {
     /// no collisions. A finger pushes bodies without being pushed. An arm yields according to its inertia and
     /// controller, and static bodies stop it.
     pub fn strike(&mut self, striker: impl Into<Striker>, friction: f64, restitution: f64) -> BodyId {
-        let (body, by, shape, state) = match striker.into() {
+        let (body, by, half, state) = match striker.into() {
             Striker::Finger(motion) => {
-                let (shape, x_wb) = (motion.shape(), motion.pose_at(0.0));
-                let body = self.world.add_kinematic(shape, x_wb, friction, restitution);
-                let state = BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO };
-                (body, By::Finger(motion), shape, state)
+                let x_wb = motion.pose_at(0.0);
+                let body = self.world.add_kinematic(FINGER_HALF, x_wb, friction, restitution);
+                (body, By::Finger(motion), FINGER_HALF, BodyState::at_rest(x_wb))
             }
             Striker::Arm(strike) => {
-                let shape = KinematicShape { half: strike.half };
+                let half = strike.half;
                 let own = (self.options.arm == ArmKind::Articulation)
                     .then(|| self.world.add_arm(&strike, friction, restitution));
                 if let Some(body) = own.flatten() {
                     let state = self.world.state(body);
-                    (body, By::EngineArm(Box::new(EngineArm::new(strike, state))), shape, state)
+                    (body, By::EngineArm(Box::new(EngineArm::new(strike, state))), half, state)
                 } else {
                     let arm = ArmInWorld::new(&strike);
                     let state = arm.state;
-                    let body = self.world.add_tool(shape, state.x_wb, friction, restitution);
-                    (body, By::Arm(Box::new(arm)), shape, state)
+                    let body = self.world.add_tool(half, state.x_wb, friction, restitution);
+                    (body, By::Arm(Box::new(arm)), half, state)
                 }
             }
         };
         debug_assert_eq!(body, self.bodies.len(), "ids of the world and of the simulation agree");
         self.bodies.push(SimBody {
-            geometry: BodyGeometry::of_kinematic(shape),
+            geometry: BodyGeometry::of_box(half),
             kind: Kind::Striker,
             rolling_m: 0.0,
         });
@@ -567,10 +566,3 @@ impl std::fmt::Debug for Simulation {
             .finish_non_exhaustive()
     }
 }
-
-// Simulations are shared by threads; their parts are immutable once built.
-const _: fn() = || {
-    fn is_send<T: Send>() {}
-    is_send::<Simulation>();
-    is_send::<CollisionPart>();
-};

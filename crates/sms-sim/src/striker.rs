@@ -1,7 +1,6 @@
 //! Strikers: the torque-controlled arm, or a kinematic finger of infinite mass. Both execute the paper's strike: two
 //! linear segments of 0.1 m (appendix "Manipulator Control and Action Modeling").
 
-use crate::KinematicShape;
 use glamx::{DPose3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_robots::{ArmStrike, FIST_HALF, SEGMENT_M, Sweep};
@@ -66,11 +65,6 @@ impl StrikerMotion {
     /// Direction of the sweep, a unit vector.
     pub fn direction_w(&self) -> DVec3 {
         DVec3::new(self.angle.cos(), self.angle.sin(), 0.0)
-    }
-
-    /// The finger's shape.
-    pub fn shape(&self) -> KinematicShape {
-        KinematicShape { half: FINGER_HALF }
     }
 
     /// Time at which the front face reaches the contact position, seconds from the start.

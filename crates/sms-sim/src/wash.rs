@@ -1,9 +1,8 @@
 //! Wash on the bodies of a [`crate::World`], for any model of the air and any engine.
 
-use crate::{BodyState, SimError, Simulation};
-use glamx::DVec3;
+use crate::{SimError, Simulation};
 use sms_scene::{BodyShape, Scene};
-use sms_wash::{BodyMotion, BodySurface, VehicleState, Wash, WashError, Wrench};
+use sms_wash::{BodySurface, VehicleState, Wash, WashError, Wrench};
 
 /// Smaller forces are dropped, N, so that resting bodies fall asleep when the air is still.
 const LEAST_FORCE: f64 = 1e-4;
@@ -32,15 +31,13 @@ pub fn wash_surfaces(scene: &Scene) -> Result<Vec<BodySurface>, SimError> {
 /// act on the bodies during the step, so that the bodies receive the momentum that the air loses in the same step.
 pub struct WashInWorld {
     wash: Box<dyn Wash>,
-    /// Motions of the scene's bodies, which come first in a world.
-    motions: Vec<BodyMotion>,
     wrenches: Vec<Wrench>,
 }
 
 impl WashInWorld {
     /// Couples a model to the first `bodies` bodies of a simulation (those of its scene: [`wash_surfaces`]).
     pub fn new(wash: Box<dyn Wash>, bodies: usize) -> Self {
-        Self { wash, motions: Vec::with_capacity(bodies), wrenches: vec![Wrench::default(); bodies] }
+        Self { wash, wrenches: vec![Wrench::default(); bodies] }
     }
 
     /// The model.
@@ -64,9 +61,9 @@ impl WashInWorld {
         vehicle: &VehicleState<'_>,
         dt: f64,
     ) -> Result<(), SimError> {
-        self.motions.clear();
-        self.motions.extend((0..self.wrenches.len()).map(|b| motion(&simulation.state(b))));
-        self.wash.step(dt, vehicle, &self.motions, &mut self.wrenches);
+        // The scene's bodies come first in a world.
+        let bodies = &simulation.states()[..self.wrenches.len()];
+        self.wash.step(dt, vehicle, bodies, &mut self.wrenches);
         for (body, wrench) in self.wrenches.iter().enumerate() {
             // A wrench that is not finite is applied too, so that the simulation reports the divergence.
             if wrench.force_w.length() > LEAST_FORCE || !wrench.force_w.is_finite() {
@@ -84,10 +81,6 @@ impl WashInWorld {
     /// Restores the saved state of the air.
     pub fn restore(&mut self) {
         self.wash.restore();
-        self.wrenches.fill(Wrench { force_w: DVec3::ZERO, torque_w: DVec3::ZERO });
+        self.wrenches.fill(Wrench::default());
     }
-}
-
-fn motion(state: &BodyState) -> BodyMotion {
-    BodyMotion { x_wb: state.x_wb, v_w: state.v_w, w_w: state.w_w }
 }

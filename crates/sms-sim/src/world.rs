@@ -4,27 +4,10 @@ use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_robots::{ArmStrike, StrikeError};
 use sms_scene::Scene;
+use sms_wash::BodyState;
 
 /// Index of a body: scene bodies first, in the scene's order, then kinematic bodies and tools in order of insertion.
 pub type BodyId = usize;
-
-/// Motion state of one body.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct BodyState {
-    /// Pose in the world; the origin is the centre of mass.
-    pub x_wb: DPose3,
-    /// Linear velocity of the origin, m/s, in the world.
-    pub v_w: DVec3,
-    /// Angular velocity, rad/s, in the world.
-    pub w_w: DVec3,
-}
-
-/// Shape of a kinematic body in its own frame: a box about the origin.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KinematicShape {
-    /// Half extents, metres.
-    pub half: DVec3,
-}
 
 /// Selects who simulates the joints of the arm.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -188,20 +171,14 @@ pub trait World: Send {
     fn apply_wrench(&mut self, body: BodyId, force_w: DVec3, torque_w: DVec3, wake: bool);
     /// Whether the body is asleep.
     fn is_asleep(&self, body: BodyId) -> bool;
-    /// Adds a kinematic body.
-    fn add_kinematic(
-        &mut self,
-        shape: KinematicShape,
-        x_wk: DPose3,
-        friction: f64,
-        restitution: f64,
-    ) -> BodyId;
+    /// Adds a kinematic body: a box about its origin with these half extents, metres.
+    fn add_kinematic(&mut self, half: DVec3, x_wk: DPose3, friction: f64, restitution: f64) -> BodyId;
     /// Pose that a kinematic body reaches at the end of the next step.
     fn set_kinematic_target(&mut self, body: BodyId, x_wk: DPose3);
-    /// Adds a tool: a dynamic body without weight. Its pose, velocity and mass are set before each step
-    /// ([`World::set_tool`]), and contacts do not rotate it. Its change of velocity in a step, times the mass, is the
-    /// received impulse.
-    fn add_tool(&mut self, shape: KinematicShape, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId;
+    /// Adds a tool: a dynamic box as in [`World::add_kinematic`], without weight. Its pose, velocity and mass are set
+    /// before each step ([`World::set_tool`]), and contacts do not rotate it. Its change of velocity in a step, times
+    /// the mass, is the received impulse.
+    fn add_tool(&mut self, half: DVec3, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId;
     /// State of a tool at the beginning of the next step, and its mass in it, kg.
     fn set_tool(&mut self, body: BodyId, state: &BodyState, mass: f64);
     /// Adds an arm with joints simulated by the engine, at rest at the start of its strike. Returns the body of the

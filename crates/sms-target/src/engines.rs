@@ -2,7 +2,7 @@
 
 use crate::{SameEngineTarget, Target};
 use sms_core::InputError;
-use sms_sim::{RapierF64Factory, RapierFactory, WorldFactory, WorldOptions};
+use sms_sim::{RapierF64Factory, WorldFactory, WorldOptions};
 
 #[cfg(feature = "mujoco")]
 use crate::mujoco::MujocoFactory;
@@ -100,16 +100,6 @@ impl TargetEngine {
             format!("build with `--features {feature}` (README, \"Target engines\"), or use `rapier`"),
         )
     }
-}
-
-/// Returns the factories of all engines that are built in, with their names in metrics, the planner's first. An engine
-/// that cannot be used has the reason in place of the factory.
-pub fn engine_factories() -> Vec<(&'static str, Result<Box<dyn WorldFactory>, InputError>)> {
-    let mut all: Vec<(&'static str, Result<Box<dyn WorldFactory>, InputError>)> =
-        vec![("rapier_f32", Ok(Box::new(RapierFactory)))];
-    let built_in = TargetEngine::ALL.into_iter().filter(|e| e.is_built_in());
-    all.extend(built_in.map(|engine| (engine.key(), engine.factory())));
-    all
 }
 
 /// An engine at a fraction of the planner's step.

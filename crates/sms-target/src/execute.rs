@@ -1,7 +1,7 @@
 //! Executes a plan in a target world.
 
 use crate::scene::carried;
-use crate::{SameEngineTarget, Target, match_bodies, scene_from_truth};
+use crate::{Target, match_bodies, scene_from_truth};
 use glamx::DVec3;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
@@ -70,23 +70,12 @@ impl StageError for TargetError {
     }
 }
 
-/// Executes a planned action in the true scene, on [`SameEngineTarget`].
+/// Executes a planned action in the true scene, on a target.
 ///
 /// The task is resolved in the *planner's* scene, which fixes the robot's motion in world coordinates. The robot
 /// repeats this motion regardless of the true scene. The objective is measured on the true bodies that match the
 /// planner's; without a match, on the true target ball or on the body of the same name.
 pub fn execute(
-    task: &Task,
-    action: &Action,
-    planned_scene: &Scene,
-    truth: &TruthScene,
-    options: &TargetOptions,
-) -> Result<Execution, TargetError> {
-    execute_on(&SameEngineTarget, task, action, planned_scene, truth, options)
-}
-
-/// Does the same as [`execute`] on a given target.
-pub fn execute_on(
     target: &dyn Target,
     task: &Task,
     action: &Action,

@@ -1,15 +1,15 @@
 //! Target worlds that execute plans; the planner never reads them.
 //!
-//! [`execute`] takes a task, the planned action, the planner's scene and the ground truth of a generated scene, and
-//! returns the realised outcome on [`SameEngineTarget`]. [`execute_on`] accepts any [`Target`]; [`TargetEngine`] lists
-//! them: Rapier, PhysX with the feature `physx`, MuJoCo with the feature `mujoco`.
+//! [`execute`] takes a [`Target`], a task, the planned action, the planner's scene and the ground truth of a generated
+//! scene, and returns the realised outcome. [`TargetEngine`] lists the targets: Rapier ([`SameEngineTarget`]), PhysX
+//! with the feature `physx`, MuJoCo with the feature `mujoco`.
 //!
 //! [`execute_landing`] executes landings (`sms-landing`).
 //!
 //! ```
 //! use sms_core::Seed;
 //! use sms_synth::{BilliardsSettings, generate_billiards};
-//! use sms_target::{TargetOptions, execute, scene_from_truth};
+//! use sms_target::{SameEngineTarget, TargetOptions, execute, scene_from_truth};
 //! use sms_task::{Billiards, Selector, Task};
 //!
 //! let truth = generate_billiards(Seed(1), &BilliardsSettings { objects: 1, ..Default::default() });
@@ -18,7 +18,8 @@
 //! let (cue, target) = (Selector::by_name(&truth.cue), Selector::by_name(&truth.target));
 //! let task = Task::Billiards(Billiards::new(cue, target, truth.goal_w));
 //! let action = task.resolve(&planned)?.suggestions()[0].clone();
-//! let execution = execute(&task, &action, &planned, &truth, &TargetOptions::default())?;
+//! let options = TargetOptions::default();
+//! let execution = execute(&SameEngineTarget, &task, &action, &planned, &truth, &options)?;
 //! println!("{}: {:.3} m from the goal", execution.engine, execution.objective);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -34,8 +35,8 @@ mod physx;
 mod scene;
 mod target;
 
-pub use engines::{TargetEngine, engine_factories};
-pub use execute::{TargetError, TargetOptions, disturbed, execute, execute_on};
+pub use engines::TargetEngine;
+pub use execute::{TargetError, TargetOptions, disturbed, execute};
 pub use landing::{LANDING_EXECUTION_FILE, LandingExecution, LandingTargetOptions, execute_landing};
 pub use matching::match_bodies;
 #[cfg(feature = "mujoco")]

@@ -2,12 +2,12 @@
 
 use crate::ResolvedTask;
 use glamx::{DMat4, DPose3};
-use sms_core::{Hash, Hasher, InputError};
+use sms_core::InputError;
 use sms_robots::{
     ArmStrike, Obstacle, RobotConfig, RobotModel, StrikeConfig, StrikeError, ToolPath, Workspace,
     check_strike, obstacles, plan_startable_sweep, plan_strike,
 };
-use sms_scene::{BodyShape, Scene};
+use sms_scene::Scene;
 use sms_sim::{SimError, Striker, StrikerMotion};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -19,8 +19,6 @@ pub struct RobotArm {
     model: Arc<RobotModel>,
     config: StrikeConfig,
     obstacles: Vec<Obstacle>,
-    /// Hash of the scene's bodies and of the struck one. Two arms are equal only if they have the same obstacles.
-    obstacles_hash: Hash,
     planned: Mutex<BTreeMap<[u64; 6], Result<Arc<ArmStrike>, StrikeError>>>,
 }
 
@@ -38,7 +36,6 @@ impl RobotArm {
             model: Arc::new(config.model()?.with_base(x_wr)),
             config: config.strike_config(),
             obstacles: obstacles(scene, struck),
-            obstacles_hash: obstacles_hash(scene, struck),
             settings,
             planned: Mutex::default(),
         }))
@@ -112,41 +109,6 @@ impl std::fmt::Debug for RobotArm {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("RobotArm").field("settings", &self.settings).finish_non_exhaustive()
     }
-}
-
-impl PartialEq for RobotArm {
-    fn eq(&self, other: &Self) -> bool {
-        (&self.settings, &self.config, &self.obstacles_hash)
-            == (&other.settings, &other.config, &other.obstacles_hash)
-    }
-}
-
-/// Hash of the obstacles' inputs: names, poses and shapes of all bodies, and the index of the struck one.
-fn obstacles_hash(scene: &Scene, struck: usize) -> Hash {
-    let mut hasher = Hasher::new();
-    hasher.bytes(&struck.to_le_bytes());
-    let mut numbers = |values: &[f64]| {
-        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        hasher.bytes(&bytes);
-    };
-    for body in &scene.bodies {
-        let (p, q) = (body.x_wb.translation, body.x_wb.rotation);
-        numbers(&[p.x, p.y, p.z, q.x, q.y, q.z, q.w]);
-        match &body.shape {
-            BodyShape::Sphere { radius } => numbers(&[*radius]),
-            BodyShape::HalfSpace => numbers(&[]),
-            shape => {
-                for mesh in shape.meshes() {
-                    let corners: Vec<f64> = mesh.vertices.iter().flat_map(|v| v.to_array()).collect();
-                    numbers(&corners);
-                }
-            }
-        }
-    }
-    for body in &scene.bodies {
-        hasher.text(&body.name);
-    }
-    hasher.finish()
 }
 
 /// Row-major 4 × 4 matrix of a pose.

@@ -22,7 +22,6 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod action;
 mod arm;
 mod billiards;
 mod body;
@@ -39,7 +38,6 @@ mod task;
 mod terms;
 mod trajectory;
 
-pub use action::{Action, Parameter};
 pub use arm::RobotArm;
 pub use billiards::{ActionBounds, ActionForm, Billiards, BilliardsKind, ParameterRange, StrikerMaterial};
 pub use body::TaskBody;
@@ -50,6 +48,6 @@ pub use resolved::ResolvedTask;
 pub use rollout::{MotionRecording, Rollout, STRIKER, WorldBodies};
 pub use selector::{COLOR_WORDS, ColorName, Selector};
 pub use strike::{Strike, StrikeKind};
-pub use task::Task;
+pub use task::{Action, Parameter, Task};
 pub use terms::{METRES_PER_RADIAN, Others, Region, Term, TermBodies, When};
 pub use trajectory::{BodyTrack, Trajectory};

@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 /// A task resolved in the planner's scene. It defines actions in world coordinates, so that a target world with other
 /// bodies can execute the same motion of the robot.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct ResolvedTask {
     kind: &'static str,
     pub(crate) common: StrikeSettings,

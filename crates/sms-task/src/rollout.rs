@@ -5,7 +5,7 @@ use crate::resolved::Objective;
 use crate::terms::{TermTracker, is_indispensable};
 use crate::{BodyTrack, ClosestApproach, ResolvedTask, TaskError, Trajectory};
 use glamx::{DMat3, DVec2, DVec3};
-use sms_core::InputError;
+use sms_core::{Aabb, InputError};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::{
     BodyId, BodyState, ContactEvent, PhysicsViolation, SimError, Simulation, Striker, WorldFactory,
@@ -422,14 +422,10 @@ fn arena_of(scene: &Scene) -> (DVec2, f64) {
         };
         local.into_iter().map(|p| b.x_wb.transform_point(p))
     });
-    let points: Vec<DVec2> = corners.map(horizontal).collect();
-    let low = points.iter().fold(DVec2::INFINITY, |a, &p| a.min(p));
-    let high = points.iter().fold(DVec2::NEG_INFINITY, |a, &p| a.max(p));
-    if points.is_empty() {
-        return (DVec2::ZERO, 0.0);
-    }
-    let center = 0.5 * (low + high);
-    (center, points.iter().map(|p| p.distance(center)).fold(0.0, f64::max))
+    let points: Vec<DVec3> = corners.collect();
+    let Some(around) = Aabb::of_points(points.iter().copied()) else { return (DVec2::ZERO, 0.0) };
+    let center = horizontal(around.center());
+    (center, points.iter().map(|p| horizontal(*p).distance(center)).fold(0.0, f64::max))
 }
 
 /// Checks for physically impossible motion.

@@ -8,7 +8,7 @@
 use glamx::{DPose3, DQuat, DVec3};
 use sms_robots::Rotor;
 use sms_wash::{
-    BodyMotion, BodySurface, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash, Wrench,
+    BodyState, BodySurface, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash, Wrench,
 };
 use std::error::Error;
 use std::time::Instant;
@@ -47,7 +47,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         rotors: &rotors,
         thrusts: &thrusts,
     };
-    let body = [BodyMotion::at_rest(DPose3::IDENTITY)];
+    let body = [BodyState::at_rest(DPose3::IDENTITY)];
     let mut wrench = [Wrench::default()];
     for mut wash in [
         StreamWash::disk(plate.clone(), StreamSettings::default())?,

@@ -16,7 +16,7 @@
 //! ```
 //! use glamx::{DPose3, DVec3};
 //! use sms_robots::Rotor;
-//! use sms_wash::{BodyMotion, BodySurface, StreamSettings, StreamWash, VehicleState, Wash, Wrench};
+//! use sms_wash::{BodyState, BodySurface, StreamSettings, StreamWash, VehicleState, Wash, Wrench};
 //!
 //! // A quadrotor of 11.6 N hovers half a metre above a table.
 //! let table = BodySurface::cuboid(DVec3::new(0.5, 0.5, 0.02))?;
@@ -30,7 +30,7 @@
 //!     thrusts: &[2.9; 4],
 //! };
 //! let mut wrenches = [Wrench::default()];
-//! wash.step(0.0025, &vehicle, &[BodyMotion::at_rest(DPose3::IDENTITY)], &mut wrenches);
+//! wash.step(0.0025, &vehicle, &[BodyState::at_rest(DPose3::IDENTITY)], &mut wrenches);
 //! assert!((wrenches[0].force_w.z / -11.6 - 1.0).abs() < 0.02, "the table carries the vehicle");
 //! # Ok::<(), sms_wash::WashError>(())
 //! ```
@@ -51,4 +51,4 @@ pub use model::{WashModel, WashSettings};
 pub use sph::{EmissionPattern, SmoothingKernel, SphSettings, SphWash};
 pub use stream::{StreamSettings, StreamWash};
 pub use surface::{BodySurface, SurfaceHit};
-pub use wash::{BodyMotion, VehicleState, Wash, Wrench};
+pub use wash::{BodyState, VehicleState, Wash, Wrench};

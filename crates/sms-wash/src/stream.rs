@@ -4,7 +4,7 @@
 use crate::jet::RoundJet;
 use crate::surface::is_apart;
 use crate::wash::Stream;
-use crate::{BodyMotion, BodySurface, Emission, Emitted, VehicleState, Wash, WashError, Wrench};
+use crate::{BodyState, BodySurface, Emission, Emitted, VehicleState, Wash, WashError, Wrench};
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
 use sms_core::Aabb;
@@ -113,7 +113,7 @@ impl StreamWash {
     }
 
     /// Computes the wrenches of the steady flow.
-    fn evaluate(&mut self, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]) {
+    fn evaluate(&mut self, vehicle: &VehicleState<'_>, bodies: &[BodyState], wrenches: &mut [Wrench]) {
         let streams: Vec<Stream> =
             vehicle.streams(self.settings.air_density, self.settings.emission).collect();
         let flux: f64 = streams.iter().map(|s| s.emitted.momentum_flux()).sum();
@@ -280,7 +280,7 @@ impl StreamWash {
 
 /// Placement of the bodies.
 struct BodyPlacement<'a> {
-    bodies: &'a [BodyMotion],
+    bodies: &'a [BodyState],
     poses_bw: &'a [DPose3],
     /// World-space bounding boxes of the surfaces; `None` for unbounded ones.
     boxes_w: &'a [Option<Aabb>],
@@ -315,7 +315,7 @@ impl Wash for StreamWash {
         }
     }
 
-    fn step(&mut self, _dt: f64, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]) {
+    fn step(&mut self, _dt: f64, vehicle: &VehicleState<'_>, bodies: &[BodyState], wrenches: &mut [Wrench]) {
         assert_eq!(bodies.len(), self.surfaces.len(), "a motion for each surface");
         assert_eq!(wrenches.len(), self.surfaces.len(), "a wrench for each surface");
         assert_eq!(vehicle.rotors.len(), vehicle.thrusts.len(), "a thrust for each propeller");

@@ -2,6 +2,7 @@
 
 use crate::{ActuatorDisk, Emission, Emitted};
 use glamx::{DPose3, DVec3};
+use serde::{Deserialize, Serialize};
 use sms_robots::Rotor;
 
 /// State of a vehicle. Its propellers blow along −z of `V`.
@@ -47,18 +48,18 @@ impl VehicleState<'_> {
     }
 }
 
-/// Motion of a body in the world.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BodyMotion {
-    /// Pose; its origin, the centre of mass, is the reference point of torques.
+/// Motion state of one body.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct BodyState {
+    /// Pose in the world; the origin is the centre of mass and the reference point of torques.
     pub x_wb: DPose3,
-    /// Velocity of the origin, m/s.
+    /// Linear velocity of the origin, m/s, in the world.
     pub v_w: DVec3,
-    /// Angular velocity, rad/s.
+    /// Angular velocity, rad/s, in the world.
     pub w_w: DVec3,
 }
 
-impl BodyMotion {
+impl BodyState {
     /// A body at rest.
     pub fn at_rest(x_wb: DPose3) -> Self {
         Self { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO }
@@ -97,7 +98,7 @@ pub trait Wash: Send {
     ///
     /// # Panics
     /// When the number of `bodies` or `wrenches` differs from that of the surfaces, or thrusts from propellers.
-    fn step(&mut self, dt: f64, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]);
+    fn step(&mut self, dt: f64, vehicle: &VehicleState<'_>, bodies: &[BodyState], wrenches: &mut [Wrench]);
 
     /// Whether air moves near the structure. If not, wrenches are zero until the vehicle's wash reaches the structure.
     fn is_active(&self) -> bool;

@@ -8,7 +8,7 @@ use sms_core::{Cancel, Progress};
 use sms_robots::RobotConfig;
 use sms_sim::SimError;
 use sms_synth::TruthScene;
-use sms_target::{Target, TargetError, TargetOptions, execute_on};
+use sms_target::{Target, TargetError, TargetOptions, execute};
 use sms_task::{Action, TaskError, Trajectory};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -51,7 +51,7 @@ impl Realiser<'_> {
     ) -> Result<Result<(f64, Trajectory), String>, BenchError> {
         let robot = if by_arm { self.robot.clone() } else { RobotConfig::default() };
         let options = TargetOptions { chaos_runs: 0, robot, ..TargetOptions::default() };
-        match execute_on(self.target, view.task, action, view.scene, self.truth, &options) {
+        match execute(self.target, view.task, action, view.scene, self.truth, &options) {
             Ok(execution) => {
                 let resolved = view.task.resolve(view.scene).map_err(TargetError::from)?;
                 let planned = resolved.target().name.as_str();
@@ -76,7 +76,7 @@ impl Realiser<'_> {
         let Some(action) = &shot.action else { return Ok(None) };
         let robot = if shot.by_arm { self.robot.clone() } else { RobotConfig::default() };
         let options = TargetOptions { chaos_runs: 6, chaos_m: nudge_m, robot, ..TargetOptions::default() };
-        match execute_on(self.target, view.task, action, view.scene, self.truth, &options) {
+        match execute(self.target, view.task, action, view.scene, self.truth, &options) {
             Ok(execution) => Ok(Some(execution.chaos_floor)),
             Err(e) if is_failed_shot(&e) => Ok(None),
             Err(e) => Err(BenchError::from(e)),

@@ -4,7 +4,7 @@ use super::{BilliardsBench, Row, Shot};
 use crate::BenchError;
 use crate::cpu_time::cpu_seconds;
 use sms_core::{Cancel, Progress, Seed, StageContext, Warnings};
-use sms_plan::{Plan, PlanConfig, PlanError, plan, search_nominal};
+use sms_plan::{Plan, PlanConfig, PlanError, optimiser, plan, search_nominal};
 use sms_robots::RobotConfig;
 use sms_scene::Scene;
 use sms_sim::RapierFactory;
@@ -105,14 +105,14 @@ impl TaskPlanner<'_> {
 
     fn paper(&self, starts: usize) -> Result<Vec<Shot>, BenchError> {
         let config = PlanConfig { starts, ..self.bench.paper.clone() };
-        let seed = self.seed.derive("paper");
+        let seed = self.seed.derive("paper").derive("search");
         let found = search_nominal(
             self.task,
             self.scene,
             &RapierFactory,
-            &config,
+            &|space, feasible| optimiser(space, &config, seed, feasible),
             usize::MAX,
-            StageContext::quiet(self.cancel, &Warnings::new()).with_seed(seed),
+            self.cancel,
         )?;
         let shot = |s: sms_plan::StartSummary| {
             let counted = Shot { iterations: s.iterations, ..self.nothing(s.evaluations) };

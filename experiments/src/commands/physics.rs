@@ -2,10 +2,11 @@
 
 use clap::Args;
 use sms_cli::front::Console;
+use sms_core::InputError;
 use sms_core::metrics::Metrics;
 use sms_eval::closed_form::{Statistic, probes};
-use sms_sim::WorldFactory;
-use sms_target::engine_factories;
+use sms_sim::{RapierFactory, WorldFactory};
+use sms_target::TargetEngine;
 
 /// The planner's engine, whose figures must be within the limits. Targets may miss them (experiments/studies/target.md
 /// explains why).
@@ -19,6 +20,16 @@ pub(crate) struct PhysicsArguments {
     /// Run only engines whose name contains this text.
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub engine: String,
+}
+
+/// The factories of all engines that are built in, with their names in metrics, the planner's first. An engine that
+/// cannot be used has the reason in place of the factory.
+fn engine_factories() -> Vec<(&'static str, Result<Box<dyn WorldFactory>, InputError>)> {
+    let mut all: Vec<(&'static str, Result<Box<dyn WorldFactory>, InputError>)> =
+        vec![("rapier_f32", Ok(Box::new(RapierFactory)))];
+    let built_in = TargetEngine::ALL.into_iter().filter(|e| e.is_built_in());
+    all.extend(built_in.map(|engine| (engine.key(), engine.factory())));
+    all
 }
 
 pub(crate) fn run(console: &Console, a: &PhysicsArguments) -> anyhow::Result<()> {
@@ -36,7 +47,7 @@ pub(crate) fn run(console: &Console, a: &PhysicsArguments) -> anyhow::Result<()>
         let (what, option) = if chosen.is_empty() { (&a.only, "--only") } else { (&a.engine, "--engine") };
         let keys: Vec<&str> = engine_factories().into_iter().map(|e| e.0).collect();
         let there = if chosen.is_empty() { names } else { keys };
-        return Err(sms_core::InputError::new(
+        return Err(InputError::new(
             format!("no name contains `{what}`"),
             option,
             format!("there are {}", there.join(", ")),

@@ -5,7 +5,7 @@ use super::jacobi::symmetric_eigen;
 use rand::Rng;
 use sms_core::{Seed, StageRng, standard_normal};
 use sms_plan::screening::{self, Screened};
-use sms_plan::{BatchOptimiser, Proposal, Space, StartRecord, TrialPhase};
+use sms_plan::{BatchOptimiser, Minimum, Proposal, Space, StartRecord, TrialPhase};
 
 /// A search distribution N(m, σ²C) over ℝⁿ and its adaptation.
 #[derive(Debug, Clone)]
@@ -223,10 +223,12 @@ impl CmaSearch {
             record: StartRecord {
                 initial: from.x.clone(),
                 initial_objective: from.objective,
-                x: from.x.clone(),
-                objective: from.objective,
-                evaluations: 0,
-                iterations: 0,
+                found: Minimum {
+                    x: from.x.clone(),
+                    objective: from.objective,
+                    evaluations: 0,
+                    iterations: 0,
+                },
                 refused: 0,
             },
             history: Vec::new(),
@@ -249,10 +251,6 @@ impl CmaSearch {
 }
 
 impl BatchOptimiser for CmaSearch {
-    fn name(&self) -> &'static str {
-        "cma_es"
-    }
-
     fn ask(&mut self, room: usize) -> Vec<Proposal> {
         if !self.screened {
             self.screen.truncate(room);
@@ -299,7 +297,7 @@ impl BatchOptimiser for CmaSearch {
                 None => cannot.push(y),
             }
         }
-        run.record.evaluations += values.len() - cannot.len();
+        run.record.found.evaluations += values.len() - cannot.len();
         run.record.refused += cannot.len();
         run.refused += cannot.len();
         let population = run.cma.population();
@@ -315,14 +313,14 @@ impl BatchOptimiser for CmaSearch {
         // Stable: among equals, the first draw comes first.
         generation.sort_by(|a, b| a.1.total_cmp(&b.1));
         let (best, value) = &generation[0];
-        if *value < run.record.objective {
-            run.record.objective = *value;
-            run.record.x = best.iter().zip(&run.steps).map(|(y, s)| mirrored(y * s)).collect();
+        if *value < run.record.found.objective {
+            run.record.found.objective = *value;
+            run.record.found.x = best.iter().zip(&run.steps).map(|(y, s)| mirrored(y * s)).collect();
         }
         run.history.push(*value);
         let sorted: Vec<Vec<f64>> = generation.into_iter().map(|(y, _)| y).collect();
         run.cma.adapt(&sorted);
-        run.record.iterations = run.cma.generation();
+        run.record.found.iterations = run.cma.generation();
     }
 
     fn starts(&self) -> Vec<StartRecord> {
@@ -330,9 +328,9 @@ impl BatchOptimiser for CmaSearch {
             let mut record = r.record.clone();
             // A generation that the budget cut short.
             for (y, f) in &r.known {
-                if *f < record.objective {
-                    record.objective = *f;
-                    record.x = y.iter().zip(&r.steps).map(|(y, s)| mirrored(y * s)).collect();
+                if *f < record.found.objective {
+                    record.found.objective = *f;
+                    record.found.x = y.iter().zip(&r.steps).map(|(y, s)| mirrored(y * s)).collect();
                 }
             }
             record

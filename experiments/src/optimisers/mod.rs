@@ -8,8 +8,8 @@ use crate::bootstrap::{median, paired_difference};
 use crate::{BenchError, PlanScene, SceneFamily};
 use rayon::prelude::*;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, Progress, Seed, StageContext, Warnings};
-use sms_plan::{Method, NominalSearch, PlanConfig, PlanError, screening, search_nominal, search_nominal_by};
+use sms_core::{Cancel, Progress, Seed};
+use sms_plan::{Method, PlanConfig, PlanError, SearchLog, optimiser, screening, search_nominal};
 use sms_sim::RapierFactory;
 use sms_task::ResolvedTask;
 use std::fmt::Write as _;
@@ -40,8 +40,8 @@ impl Entrant {
         scene: &PlanScene,
         budget: usize,
         cancel: &Cancel,
-    ) -> Result<NominalSearch, PlanError> {
-        let seed = Seed(scene.seed).derive("bench optimisers");
+    ) -> Result<SearchLog, PlanError> {
+        let seed = Seed(scene.seed).derive("bench optimisers").derive("search");
         match self {
             Self::Planner(config) => {
                 let config = with_budget(config, budget);
@@ -49,14 +49,13 @@ impl Entrant {
                     task,
                     &scene.scene,
                     &RapierFactory,
-                    &config,
+                    &|space, feasible| optimiser(space, &config, seed, feasible),
                     budget,
-                    StageContext::quiet(cancel, &Warnings::new()).with_seed(seed),
+                    cancel,
                 )
             }
             Self::CmaEs => {
                 let config = PlanConfig::default();
-                let seed = seed.derive("search");
                 let settings = CmaSettings {
                     initial_step: config.initial_step,
                     starts: config.starts,
@@ -65,7 +64,7 @@ impl Entrant {
                     f_tolerance: config.nelder_mead.f_tolerance,
                 };
                 let count = ((budget as f64 * CMA_SCREENING_SHARE).round() as usize).max(1);
-                search_nominal_by(
+                search_nominal(
                     task,
                     &scene.scene,
                     &RapierFactory,
@@ -175,7 +174,8 @@ pub fn run_optimisers(
             let found = bench.entrants[e].1.search(task, scene, budget, cancel)?;
             progress.update(done.fetch_add(1, Ordering::SeqCst) as u64 + 1, "searches");
             // A search without a valid rollout leaves the ball where it is.
-            let objective = found.best().map_or_else(|| task.initial_objective(), |t| t.objective);
+            let best = Some(found.best()).filter(|v| v.is_finite());
+            let objective = best.unwrap_or_else(|| task.initial_objective());
             Ok(Best {
                 objective,
                 success: task.is_success(objective),

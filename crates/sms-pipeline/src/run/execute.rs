@@ -12,7 +12,7 @@ use sms_scene::{Scene, load_scene};
 use sms_sim::ArmKind;
 use sms_synth::{TruthScene, read_truth};
 use sms_target::{
-    LandingExecution, LandingTargetOptions, Target, TargetEngine, TargetOptions, execute_landing, execute_on,
+    LandingExecution, LandingTargetOptions, Target, TargetEngine, TargetOptions, execute, execute_landing,
 };
 use sms_task::{Execution, Task};
 use std::path::{Path, PathBuf};
@@ -117,7 +117,7 @@ impl Run<'_> {
         let hash = inputs_hash(&[&order.hash("plan.json")?], &options)?;
         let dir = run_stage(self.context, run, "target", &hash, |stage, warnings| {
             let truth = read_truth(order.recording)?;
-            let mut execution = execute_on(order.target, &task, &plan.action, &scene, &truth, &options)?;
+            let mut execution = execute(order.target, &task, &plan.action, &scene, &truth, &options)?;
             execution.predicted = plan.against(execution.objective);
             execution.save(stage.dir())?;
             warn_other_target(&plan, &task, &scene, &truth, &execution, warnings)?;

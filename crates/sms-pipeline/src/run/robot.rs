@@ -133,7 +133,7 @@ impl PlannedMotion<'_> {
         let program = JointProgram::of_strike(robot, &strike, config.period_s, &mut ws).checked(&check);
         atomic::write_json(&dir.join("check.json"), &check)?;
         if let Some(name) = program_name(&check, keep_failed) {
-            program.write_json(&dir.join(format!("{name}.json")))?;
+            atomic::write_json(&dir.join(format!("{name}.json")), &program)?;
             program.write_parquet(&dir.join(format!("{name}.parquet")))?;
         }
         let mut m = Metrics::new();

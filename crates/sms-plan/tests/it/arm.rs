@@ -5,7 +5,8 @@ use crate::rehearsal::rehearse;
 use sms_core::glamx::{DPose3, DQuat, DVec3};
 use sms_core::{Cancel, Mesh, NoProgress, Seed, StageContext, Warnings};
 use sms_plan::{
-    Halton, Method, Perturbation, PlanConfig, PlanError, PlanOutcome, TrialPhase, plan, search_nominal,
+    Halton, Method, Perturbation, PlanConfig, PlanError, PlanOutcome, TrialPhase, optimiser, plan,
+    search_nominal,
 };
 use sms_robots::{RobotConfig, ToolPath};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
@@ -156,9 +157,9 @@ fn refused_strikes_do_not_use_up_the_budget() {
         &task,
         &scene,
         &RapierFactory,
-        &config,
+        &|space, feasible| optimiser(space, &config, Seed(3).derive("search"), feasible),
         40,
-        StageContext::quiet(&cancel, &Warnings::new()).with_seed(Seed(3)),
+        &cancel,
     )
     .unwrap();
     let simulated = found.trials.iter().filter(|t| t.phase == TrialPhase::Screen && t.valid);

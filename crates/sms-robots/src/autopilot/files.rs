@@ -4,7 +4,7 @@ use super::{Geodetic, Home, mission, set_points, timed, write_csv, write_tlog};
 use crate::{Flight, Quadrotor};
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
-use sms_core::{CoreError, InputError, Ranges};
+use sms_core::{CoreError, InputError, Ranges, atomic};
 use std::path::Path;
 
 /// Settings of the flight files.
@@ -73,7 +73,7 @@ pub fn write_flight(
     config.validate()?;
     let home = config.home(flight, vehicle);
     let timed = timed(flight, config.period_s);
-    timed.write_json(&dir.join("flight.json"))?;
+    atomic::write_json(&dir.join("flight.json"), &timed)?;
     timed.write_parquet(&dir.join("flight.parquet"))?;
     let points = set_points(&timed, &home);
     write_csv(&dir.join("setpoints.csv"), &points)?;

@@ -3,8 +3,8 @@
 use crate::Flight;
 use glamx::DVec3;
 use serde::{Deserialize, Serialize};
+use sms_core::CoreError;
 use sms_core::table::{Column, write_table};
-use sms_core::{CoreError, atomic};
 use std::path::Path;
 
 /// Phase of an approach.
@@ -95,14 +95,6 @@ pub fn timed(flight: &Flight, period_s: f64) -> TimedFlight {
 }
 
 impl TimedFlight {
-    /// Writes the JSON file.
-    ///
-    /// # Errors
-    /// [`CoreError::Write`].
-    pub fn write_json(&self, path: &Path) -> Result<(), CoreError> {
-        atomic::write_json(path, self)
-    }
-
     /// Writes one row per point to a Parquet file: `time_s`, `x`, `y`, `z` (m), `vx`, `vy`, `vz` (m/s), `yaw` (rad),
     /// `phase`.
     ///
@@ -132,6 +124,7 @@ impl TimedFlight {
 pub(crate) mod tests {
     use super::*;
     use crate::{BezierPath, FlightSettings};
+    use sms_core::atomic;
     use sms_core::table::read_table;
 
     /// m/s.
@@ -173,7 +166,7 @@ pub(crate) mod tests {
         let dir = tempfile::tempdir().unwrap();
         let timed = timed(&flight(), 0.1);
         let json = dir.path().join("flight.json");
-        timed.write_json(&json).unwrap();
+        atomic::write_json(&json, &timed).unwrap();
         assert_eq!(atomic::read_json::<TimedFlight>(&json).unwrap(), timed);
         let parquet = dir.path().join("flight.parquet");
         timed.write_parquet(&parquet).unwrap();

@@ -73,7 +73,7 @@ fn the_files_hold_the_program() {
     let (_, program) = program();
     let dir = tempfile::tempdir().unwrap();
     let json = dir.path().join("strike.json");
-    program.write_json(&json).unwrap();
+    sms_core::atomic::write_json(&json, &program).unwrap();
     assert_eq!(atomic::read_json::<JointProgram>(&json).unwrap(), program);
 
     let table = dir.path().join("strike.parquet");

@@ -8,7 +8,7 @@ use super::engine::math::{Pose, Real, Rotation, Vector};
 use super::engine::prelude::*;
 use super::face::{from_engine, to_engine};
 use super::hull::StableHull;
-use crate::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
+use crate::{BodyId, BodyState, SimError, World, WorldOptions};
 use glamx::{DPose3, DQuat, DVec3};
 use sms_core::Mesh;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
@@ -245,13 +245,13 @@ impl RapierWorld {
     fn add_striker(
         &mut self,
         builder: RigidBodyBuilder,
-        shape: KinematicShape,
+        half: DVec3,
         friction: f64,
         restitution: f64,
     ) -> BodyId {
         let handle = self.physics.insert_body(builder);
         let body = self.bodies.len();
-        let collider = with_material(cuboid(shape.half), friction, restitution)
+        let collider = with_material(cuboid(half), friction, restitution)
             .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS)
             .user_data(body as u128);
         self.physics.insert_collider(collider, Some(handle));
@@ -322,15 +322,9 @@ impl World for RapierWorld {
         self.body(body).is_sleeping()
     }
 
-    fn add_kinematic(
-        &mut self,
-        shape: KinematicShape,
-        x_wk: DPose3,
-        friction: f64,
-        restitution: f64,
-    ) -> BodyId {
+    fn add_kinematic(&mut self, half: DVec3, x_wk: DPose3, friction: f64, restitution: f64) -> BodyId {
         let builder = RigidBodyBuilder::kinematic_velocity_based().pose(pose_to_engine(&x_wk));
-        let body = self.add_striker(builder, shape, friction, restitution);
+        let body = self.add_striker(builder, half, friction, restitution);
         self.kinematics.push(RapierKinematic { body, x_wk, target_x_wk: x_wk, enabled: true });
         body
     }
@@ -341,14 +335,14 @@ impl World for RapierWorld {
         }
     }
 
-    fn add_tool(&mut self, shape: KinematicShape, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId {
+    fn add_tool(&mut self, half: DVec3, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId {
         let builder = RigidBodyBuilder::dynamic()
             .pose(pose_to_engine(&x_wt))
             .additional_mass_properties(tool_mass(1.0))
             .lock_rotations()
             .gravity_scale(0.0)
             .can_sleep(false);
-        self.add_striker(builder, shape, friction, restitution)
+        self.add_striker(builder, half, friction, restitution)
     }
 
     fn set_tool(&mut self, body: BodyId, state: &BodyState, mass: f64) {

@@ -38,12 +38,6 @@ impl MujocoFactory {
     }
 }
 
-impl std::fmt::Debug for MujocoFactory {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("MujocoFactory").field("engine", &self.engine).finish()
-    }
-}
-
 impl WorldFactory for MujocoFactory {
     fn engine(&self) -> &'static str {
         self.engine

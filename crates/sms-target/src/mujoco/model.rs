@@ -8,7 +8,7 @@
 use glamx::{DPose3, DQuat, DVec3};
 use sms_core::Mesh;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
-use sms_sim::{BodyId, KinematicShape};
+use sms_sim::BodyId;
 use std::fmt::Write;
 
 /// Angular frequency of contacts, rad/s: an impact takes half a period, 0.6 ms, and penetrates 0.2 mm at 1 m/s.
@@ -37,7 +37,8 @@ const KINEMATIC_MASS: f64 = 1e6;
 /// A kinematic body of a model.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct KinematicSpec {
-    pub(super) shape: KinematicShape,
+    /// Half extents of its box, metres.
+    pub(super) half: DVec3,
     pub(super) x_wk: DPose3,
     pub(super) friction: f64,
     pub(super) restitution: f64,
@@ -159,7 +160,7 @@ impl Writer {
             k.mass.unwrap_or(KINEMATIC_MASS),
             numbers([KINEMATIC_MASS; 3])
         );
-        let shape = format!(r#"type="box" size="{}""#, numbers(k.shape.half.to_array()));
+        let shape = format!(r#"type="box" size="{}""#, numbers(k.half.to_array()));
         if k.enabled {
             let part = if k.mass.is_some() { Part::Tool } else { Part::Kinematic };
             self.geom(index, part, (k.friction, k.restitution), &shape);

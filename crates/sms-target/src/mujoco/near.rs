@@ -3,7 +3,6 @@
 use glamx::{DPose3, DVec3};
 use sms_core::{Aabb, Mesh};
 use sms_scene::BodyShape;
-use sms_sim::KinematicShape;
 
 /// Bounding spheres and boxes of the parts of a body, in its frame; `None` for a half space.
 pub(super) struct Bounds(Option<Vec<PartBounds>>);
@@ -52,10 +51,9 @@ impl Bounds {
         })
     }
 
-    /// Returns whether a box about the origin of `x_wt` may be within `margin` metres of the body at `x_wb`. Has false
-    /// positives only.
-    pub(super) fn is_near(&self, x_wb: &DPose3, shape: KinematicShape, x_wt: &DPose3, margin: f64) -> bool {
-        let KinematicShape { half } = shape;
+    /// Returns whether a box with these half extents about the origin of `x_wt` may be within `margin` metres of the
+    /// body at `x_wb`. Has false positives only.
+    pub(super) fn is_near(&self, x_wb: &DPose3, half: DVec3, x_wt: &DPose3, margin: f64) -> bool {
         let Some(parts) = &self.0 else {
             let up_t = x_wt.rotation.inverse() * (x_wb.rotation * DVec3::Z);
             let above = x_wb.inverse_transform_point(x_wt.translation).z;
@@ -106,18 +104,18 @@ mod tests {
     #[test]
     fn a_box_is_near_what_its_faces_are_near() {
         let body = |shape| Bounds::of(&shape);
-        let shape = KinematicShape { half: DVec3::new(0.01, 0.02, 0.03) };
+        let half = DVec3::new(0.01, 0.02, 0.03);
         let at = |x: f64, y: f64, z: f64| DPose3::from_translation(DVec3::new(x, y, z));
         let (ball, tool) = (body(BodyShape::Sphere { radius: 0.03 }), at(0.0, 0.0, 0.0));
-        assert!(ball.is_near(&at(0.0405, 0.015, 0.0), shape, &tool, 1e-3));
-        assert!(!ball.is_near(&at(0.0415, 0.015, 0.0), shape, &tool, 1e-3));
+        assert!(ball.is_near(&at(0.0405, 0.015, 0.0), half, &tool, 1e-3));
+        assert!(!ball.is_near(&at(0.0415, 0.015, 0.0), half, &tool, 1e-3));
         let slab = Mesh::cuboid(DVec3::splat(0.02));
         let hulls = vec![slab.transformed(&at(0.2, 0.0, 0.0)), slab];
         let pair = body(BodyShape::Hulls { hulls });
-        assert!(pair.is_near(&at(-0.2, 0.0, 0.0), shape, &tool, 0.0), "the second part is near");
-        assert!(!pair.is_near(&at(0.2, 0.0, 0.0), shape, &tool, 0.0));
+        assert!(pair.is_near(&at(-0.2, 0.0, 0.0), half, &tool, 0.0), "the second part is near");
+        assert!(!pair.is_near(&at(0.2, 0.0, 0.0), half, &tool, 0.0));
         let floor = body(BodyShape::HalfSpace);
-        assert!(floor.is_near(&DPose3::IDENTITY, shape, &at(0.0, 0.0, 0.0305), 1e-3));
-        assert!(!floor.is_near(&DPose3::IDENTITY, shape, &at(0.0, 0.0, 0.0315), 1e-3));
+        assert!(floor.is_near(&DPose3::IDENTITY, half, &at(0.0, 0.0, 0.0305), 1e-3));
+        assert!(!floor.is_near(&DPose3::IDENTITY, half, &at(0.0, 0.0, 0.0315), 1e-3));
     }
 }

@@ -5,7 +5,7 @@ use super::model::{KinematicSpec, LONGEST_STEP_S, text};
 use super::near::Bounds;
 use glamx::{DPose3, DQuat, DVec3};
 use sms_scene::{Body, BodyKind, Scene};
-use sms_sim::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
+use sms_sim::{BodyId, BodyState, SimError, World, WorldOptions};
 use std::sync::Arc;
 
 /// Largest relative difference between a tool's mass and the model's; beyond it the model is recompiled.
@@ -144,7 +144,7 @@ impl MujocoWorld {
             saved: None,
         };
         for (body, from) in scene.bodies.iter().enumerate() {
-            world.put(body, &BodyState { x_wb: from.x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO });
+            world.put(body, &BodyState::at_rest(from.x_wb));
         }
         world.recompile().map_err(|why| refuse(&scene.name, &why))?;
         Ok(world)
@@ -187,7 +187,7 @@ impl MujocoWorld {
             for body in 0..self.now.asleep.len() {
                 let margin = WAKE_M + tool.v_w.length() * dt;
                 if self.now.asleep[body]
-                    && self.bounds[body].is_near(&self.state(body).x_wb, k.spec.shape, &tool.x_wb, margin)
+                    && self.bounds[body].is_near(&self.state(body).x_wb, k.spec.half, &tool.x_wb, margin)
                 {
                     self.now.asleep[body] = false;
                     awake.push(body);
@@ -243,7 +243,7 @@ impl MujocoWorld {
             let near = |k: &&MujocoKinematic| {
                 let tool = self.state(k.body);
                 let margin = WAKE_M + tool.v_w.length() * dt;
-                self.bounds[body].is_near(&x_wb, k.spec.shape, &tool.x_wb, margin)
+                self.bounds[body].is_near(&x_wb, k.spec.half, &tool.x_wb, margin)
             };
             tools.iter().any(near)
         };
@@ -307,7 +307,7 @@ impl MujocoWorld {
         let x_wb = spec.x_wk;
         self.bodies.push(BodyInfo { joint: Some(joint), com: DVec3::ZERO, x_wb });
         self.now.kinematics.push(MujocoKinematic { body, spec, mass: spec.mass, target_x_wk: x_wb });
-        self.put(body, &BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO });
+        self.put(body, &BodyState::at_rest(x_wb));
         self.recompile_for(body);
         body
     }
@@ -331,7 +331,7 @@ impl MujocoWorld {
         self.bounds.iter().enumerate().any(|(body, bounds)| {
             let state = self.state(body);
             let speed = tool.v_w.distance(state.v_w) + state.w_w.length() * REACH_M;
-            bounds.is_near(&state.x_wb, k.spec.shape, &tool.x_wb, NEAR_M + speed * dt)
+            bounds.is_near(&state.x_wb, k.spec.half, &tool.x_wb, NEAR_M + speed * dt)
         })
     }
 
@@ -456,9 +456,7 @@ impl World for MujocoWorld {
 
     fn state(&self, body: BodyId) -> BodyState {
         let BodyInfo { joint, com, x_wb } = self.bodies[body];
-        let Some(joint) = joint else {
-            return BodyState { x_wb, v_w: DVec3::ZERO, w_w: DVec3::ZERO };
-        };
+        let Some(joint) = joint else { return BodyState::at_rest(x_wb) };
         let (q, v) = (&self.now.q[7 * joint..], &self.now.v[6 * joint..]);
         let rotation = DQuat::from_xyzw(q[4], q[5], q[6], q[3]);
         let w_w = rotation * DVec3::new(v[3], v[4], v[5]);
@@ -497,19 +495,13 @@ impl World for MujocoWorld {
         self.bodies[body].joint.is_none() || self.now.asleep.get(body) == Some(&true)
     }
 
-    fn add_kinematic(
-        &mut self,
-        shape: KinematicShape,
-        x_wk: DPose3,
-        friction: f64,
-        restitution: f64,
-    ) -> BodyId {
-        self.add_striker(KinematicSpec { shape, x_wk, friction, restitution, enabled: true, mass: None })
+    fn add_kinematic(&mut self, half: DVec3, x_wk: DPose3, friction: f64, restitution: f64) -> BodyId {
+        self.add_striker(KinematicSpec { half, x_wk, friction, restitution, enabled: true, mass: None })
     }
 
-    fn add_tool(&mut self, shape: KinematicShape, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId {
+    fn add_tool(&mut self, half: DVec3, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId {
         let mass = Some(1.0);
-        self.add_striker(KinematicSpec { shape, x_wk: x_wt, friction, restitution, enabled: true, mass })
+        self.add_striker(KinematicSpec { half, x_wk: x_wt, friction, restitution, enabled: true, mass })
     }
 
     fn set_tool(&mut self, body: BodyId, state: &BodyState, mass: f64) {

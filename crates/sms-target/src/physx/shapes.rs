@@ -8,7 +8,6 @@ use physx_sys::*;
 use sms_core::Mesh;
 use sms_mesh::convex_hull;
 use sms_scene::BodyShape;
-use sms_sim::KinematicShape;
 use std::borrow::Cow;
 use std::ptr::{from_ref, null_mut};
 
@@ -96,21 +95,17 @@ impl Shaper<'_> {
         }
     }
 
-    /// Creates the shape of a kinematic body.
-    ///
-    /// # Errors
-    /// The reason why it cannot be simulated.
-    pub(super) fn kinematic(&self, shape: KinematicShape) -> Result<Shape, String> {
-        self.cuboid(shape.half)
-    }
-
     fn sphere(&self, radius: f64) -> Result<Shape, String> {
         // SAFETY: a constructor of plain data.
         let sphere = unsafe { PxSphereGeometry_new(radius as f32) };
         self.shape(from_ref(&sphere).cast(), &DPose3::IDENTITY)
     }
 
-    fn cuboid(&self, half: DVec3) -> Result<Shape, String> {
+    /// Creates a box about the origin with these half extents, metres.
+    ///
+    /// # Errors
+    /// The reason why it cannot be simulated.
+    pub(super) fn cuboid(&self, half: DVec3) -> Result<Shape, String> {
         // SAFETY: a constructor of plain data.
         let cuboid = unsafe { PxBoxGeometry_new_1(vector(half)) };
         self.shape(from_ref(&cuboid).cast(), &DPose3::IDENTITY)

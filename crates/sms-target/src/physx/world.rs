@@ -8,7 +8,7 @@ use glamx::{DPose3, DQuat, DVec3};
 use physx_sys::{PxTransform, PxVec3};
 use sms_robots::ArmStrike;
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
-use sms_sim::{BodyId, BodyState, KinematicShape, SimError, World, WorldOptions};
+use sms_sim::{BodyId, BodyState, SimError, World, WorldOptions};
 
 /// A world of PhysX.
 pub(super) struct PhysxWorld {
@@ -161,14 +161,14 @@ impl PhysxWorld {
     fn add_striker(
         &mut self,
         role: Role,
-        shape: KinematicShape,
+        half: DVec3,
         x_wb: &DPose3,
         friction: f64,
         restitution: f64,
     ) -> BodyId {
         let surface = Surface { friction, restitution };
         let shaper = Shaper { surface, group: group(&role), is_ball: false, tuning: self.tuning };
-        let shape = shaper.kinematic(shape);
+        let shape = shaper.cuboid(half);
         let is_shaped = shape.is_ok();
         let blueprint = Blueprint { shapes: shape.into_iter().collect(), role };
         let is_added = self.add(blueprint, &Kept::at(x_wb)).is_ok();
@@ -281,14 +281,8 @@ impl World for PhysxWorld {
         self.instance.is_asleep(body, &self.blueprints[body].role)
     }
 
-    fn add_kinematic(
-        &mut self,
-        shape: KinematicShape,
-        x_wk: DPose3,
-        friction: f64,
-        restitution: f64,
-    ) -> BodyId {
-        let body = self.add_striker(Role::Kinematic, shape, &x_wk, friction, restitution);
+    fn add_kinematic(&mut self, half: DVec3, x_wk: DPose3, friction: f64, restitution: f64) -> BodyId {
+        let body = self.add_striker(Role::Kinematic, half, &x_wk, friction, restitution);
         self.kinematics.push(Kinematic {
             body,
             x_wk,
@@ -306,8 +300,8 @@ impl World for PhysxWorld {
         }
     }
 
-    fn add_tool(&mut self, shape: KinematicShape, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId {
-        let body = self.add_striker(Role::Tool, shape, &x_wt, friction, restitution);
+    fn add_tool(&mut self, half: DVec3, x_wt: DPose3, friction: f64, restitution: f64) -> BodyId {
+        let body = self.add_striker(Role::Tool, half, &x_wt, friction, restitution);
         self.tools.push(Tool { body, enabled: true });
         body
     }
@@ -326,7 +320,7 @@ impl World for PhysxWorld {
     fn add_arm(&mut self, strike: &ArmStrike, friction: f64, restitution: f64) -> Option<BodyId> {
         let surface = Surface { friction, restitution };
         let shaper = Shaper { surface, group: group(&Role::Arm), is_ball: false, tuning: self.tuning };
-        let fist = shaper.kinematic(KinematicShape { half: strike.half }).ok()?;
+        let fist = shaper.cuboid(strike.half).ok()?;
         // If PhysX cannot simulate this robot, the caller uses the tool alone.
         if !self.instance.add_arm(strike, &fist).ok()? {
             return None;

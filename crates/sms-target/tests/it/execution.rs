@@ -5,7 +5,7 @@ use sms_core::Seed;
 use sms_scene::{BodyKind, BodyShape, Scene};
 use sms_sim::{RapierF64Factory, RapierFactory, Simulation, resting_drift};
 use sms_synth::{BilliardsSettings, TruthScene, generate_billiards};
-use sms_target::{SAME_ENGINE, TargetOptions, execute, match_bodies, scene_from_truth};
+use sms_target::{SAME_ENGINE, SameEngineTarget, TargetOptions, execute, match_bodies, scene_from_truth};
 use sms_task::{Action, Billiards, Selector, Task};
 
 fn truth(seed: u64) -> TruthScene {
@@ -71,7 +71,8 @@ fn a_plan_made_on_the_truth_is_realised() {
         let scene = scene_from_truth(&truth).unwrap();
         let task = task_of(&truth);
         let (action, predicted) = plan(&task, &scene);
-        let execution = execute(&task, &action, &scene, &truth, &TargetOptions::default()).unwrap();
+        let execution =
+            execute(&SameEngineTarget, &task, &action, &scene, &truth, &TargetOptions::default()).unwrap();
         println!(
             "seed {seed}: predicted {:.2} cm, realised {:.2} cm, chaos floor {:.2e} m",
             1e2 * predicted,
@@ -95,10 +96,10 @@ fn the_robot_repeats_the_planned_motion_where_the_scan_was_wrong() {
     let task = task_of(&truth);
     let (action, _) = plan(&task, &planned);
     let options = TargetOptions { chaos_runs: 0, ..Default::default() };
-    let right = execute(&task, &action, &planned, &truth, &options).unwrap();
+    let right = execute(&SameEngineTarget, &task, &action, &planned, &truth, &options).unwrap();
     // The scan misplaces the cue ball by 4 mm; the true ball stays in place.
     planned.bodies[cue].x_wb.translation.y += 0.004;
-    let wrong = execute(&task, &action, &planned, &truth, &options).unwrap();
+    let wrong = execute(&SameEngineTarget, &task, &action, &planned, &truth, &options).unwrap();
     let start =
         |e: &sms_task::Execution, body: &str| e.trajectory.body(body).unwrap().states[0].x_wb.translation;
     assert_eq!(start(&right, &truth.cue), start(&wrong, &truth.cue));
@@ -115,7 +116,7 @@ fn an_aligned_recording_gives_the_same_execution() {
     let task = task_of(&truth);
     let (action, _) = plan(&task, &scene);
     let options = TargetOptions { chaos_runs: 0, ..Default::default() };
-    let plain = execute(&task, &action, &scene, &truth, &options).unwrap();
+    let plain = execute(&SameEngineTarget, &task, &action, &scene, &truth, &options).unwrap();
 
     let x_vw = DPose3::from_parts(DVec3::new(0.3, -0.2, 0.0), DQuat::from_rotation_z(0.5));
     let mut turned = scene.clone();
@@ -126,7 +127,8 @@ fn an_aligned_recording_gives_the_same_execution() {
     let Task::Billiards(mut moved) = task else { panic!() };
     let goal = x_vw.transform_point(DVec3::new(truth.goal_w[0], truth.goal_w[1], 0.0));
     moved.goal_w = [goal.x, goal.y];
-    let other = execute(&Task::Billiards(moved), &action, &turned, &truth, &options).unwrap();
+    let other =
+        execute(&SameEngineTarget, &Task::Billiards(moved), &action, &turned, &truth, &options).unwrap();
     assert_eq!(other.matches.len(), truth.objects.len());
     println!("{} {}", plain.objective, other.objective);
     assert!((plain.objective - other.objective).abs() < 0.01, "{} {}", plain.objective, other.objective);

@@ -247,27 +247,6 @@ fn a_goal_that_no_ball_can_reach_is_refused_with_the_reason() {
 }
 
 #[test]
-fn arms_among_other_things_are_not_the_same() {
-    let scene = two_balls();
-    let mut moved = scene.clone();
-    moved.bodies[2].x_wb.translation.y += 0.001;
-    let config = sms_robots::RobotConfig {
-        x_world_robot: Some([
-            [1.0, 0.0, 0.0, -0.1],
-            [0.0, 1.0, 0.0, 0.0],
-            [0.0, 0.0, 1.0, 0.0],
-            [0.0, 0.0, 0.0, 1.0],
-        ]),
-        ..Default::default()
-    };
-    let arm = |scene: &Scene| {
-        task_in(scene, DVec2::new(0.8, 0.0), ActionForm::SpeedAngle).with_robot(&config, scene).unwrap()
-    };
-    assert_eq!(arm(&scene).arm(), arm(&scene).arm());
-    assert_ne!(arm(&scene).arm(), arm(&moved).arm());
-}
-
-#[test]
 fn parameters_follow_the_form_and_the_direct_box_is_the_cone_of_contact() {
     let scene = two_balls();
     let full = task_in(&scene, DVec2::new(0.8, 0.0), ActionForm::SpeedAngleContact);

@@ -1,7 +1,7 @@
 //! Contact of particles with bodies: particles stop at surfaces, keep their tangential velocity, and transfer the rest
 //! of their momentum.
 
-use crate::{BodyMotion, BodySurface};
+use crate::{BodyState, BodySurface};
 use glamx::{DPose3, DVec3};
 use sms_core::Aabb;
 
@@ -36,7 +36,7 @@ pub(super) struct Near {
 }
 
 impl Near {
-    pub(super) fn of(surface: &BodySurface, motion: &BodyMotion) -> Self {
+    pub(super) fn of(surface: &BodySurface, motion: &BodyState) -> Self {
         let x_wb = &motion.x_wb;
         let Some(extent) = surface.extent() else {
             let is_level = (x_wb.rotation * DVec3::Z).abs_diff_eq(DVec3::Z, 1e-12);
@@ -62,7 +62,7 @@ impl Near {
 /// The bodies at the current time.
 pub(super) struct Obstacles<'a> {
     pub(super) surfaces: &'a [BodySurface],
-    pub(super) motions: &'a [BodyMotion],
+    pub(super) motions: &'a [BodyState],
     pub(super) poses_bw: &'a [DPose3],
     pub(super) near: &'a [Near],
     /// Distance of particles from surfaces due to their size, metres.
@@ -135,7 +135,7 @@ fn single(a: [f32; 3]) -> DVec3 {
 mod tests {
     use super::*;
 
-    fn advance(surfaces: &[BodySurface], motions: &[BodyMotion], x: [f32; 3], v: [f32; 3]) -> Moved {
+    fn advance(surfaces: &[BodySurface], motions: &[BodyState], x: [f32; 3], v: [f32; 3]) -> Moved {
         let poses_bw: Vec<_> = motions.iter().map(|m| m.x_wb.inverse()).collect();
         let near: Vec<_> = surfaces.iter().zip(motions).map(|(s, m)| Near::of(s, m)).collect();
         let (poses_bw, near) = (&poses_bw[..], &near[..]);
@@ -145,7 +145,7 @@ mod tests {
     #[test]
     fn a_fast_particle_does_not_pass_a_thin_plate() {
         let plate = [BodySurface::cuboid(DVec3::new(0.3, 0.3, 0.001)).unwrap()];
-        let still = [BodyMotion::at_rest(DPose3::IDENTITY)];
+        let still = [BodyState::at_rest(DPose3::IDENTITY)];
         let moved = advance(&plate, &still, [0.1, 0.0, 0.08], [2.0, 0.0, -18.0]);
         assert_eq!(moved.hit_count, 1);
         assert!((moved.x[2] - 0.006).abs() < 1e-4, "{:?}", moved.x);
@@ -166,8 +166,8 @@ mod tests {
             BodySurface::cuboid(DVec3::new(0.01, 0.3, 0.3)).unwrap(),
         ];
         let motions = [
-            BodyMotion::at_rest(DPose3::IDENTITY),
-            BodyMotion::at_rest(DPose3::from_translation(DVec3::new(0.1, 0.0, 0.2))),
+            BodyState::at_rest(DPose3::IDENTITY),
+            BodyState::at_rest(DPose3::from_translation(DVec3::new(0.1, 0.0, 0.2))),
         ];
         let moved = advance(&walls, &motions, [0.05, 0.0, 0.05], [10.0, 1.0, -10.0]);
         assert_eq!(moved.hit_count, 2);
@@ -175,7 +175,7 @@ mod tests {
         let given: DVec3 = moved.hits[..2].iter().map(|h| h.impulse_w).sum();
         assert!(given.distance(DVec3::new(20.0, 0.0, -20.0)) < 1e-5);
 
-        let rising = [BodyMotion { v_w: DVec3::Z * 3.0, ..motions[0] }];
+        let rising = [BodyState { v_w: DVec3::Z * 3.0, ..motions[0] }];
         let pushed = advance(&walls[..1], &rising, [0.0, 0.0, 0.012], [0.0, 0.0, 0.0]);
         assert!(pushed.v[2] == 3.0 && (pushed.hits[0].impulse_w.z + 6.0).abs() < 1e-9);
     }

@@ -20,7 +20,7 @@ pub use emitter::EmissionPattern;
 pub use kernel::SmoothingKernel;
 
 use crate::wash::Stream;
-use crate::{BodyMotion, BodySurface, Emission, VehicleState, Wash, WashError, Wrench};
+use crate::{BodyState, BodySurface, Emission, VehicleState, Wash, WashError, Wrench};
 use cells::CellGrid;
 use contact::{Moved, Near, Obstacles};
 use emitter::Emitter;
@@ -262,7 +262,7 @@ impl SphWash {
     }
 
     /// One step of the particles.
-    fn substep(&mut self, dt: f64, structure: Option<&Aabb>, bodies: &[BodyMotion], wrenches: &mut [Wrench]) {
+    fn substep(&mut self, dt: f64, structure: Option<&Aabb>, bodies: &[BodyState], wrenches: &mut [Wrench]) {
         self.emit(structure, dt);
         let s = &self.settings;
         let mass = s.particle_mass();
@@ -362,7 +362,7 @@ impl Wash for SphWash {
         "sph"
     }
 
-    fn step(&mut self, dt: f64, vehicle: &VehicleState<'_>, bodies: &[BodyMotion], wrenches: &mut [Wrench]) {
+    fn step(&mut self, dt: f64, vehicle: &VehicleState<'_>, bodies: &[BodyState], wrenches: &mut [Wrench]) {
         assert_eq!(bodies.len(), self.surfaces.len(), "a motion for each surface");
         assert_eq!(wrenches.len(), self.surfaces.len(), "a wrench for each surface");
         assert_eq!(vehicle.rotors.len(), vehicle.thrusts.len(), "a thrust for each propeller");

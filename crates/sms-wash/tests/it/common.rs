@@ -2,7 +2,7 @@
 
 use glamx::{DPose3, DQuat, DVec3};
 use sms_robots::Rotor;
-use sms_wash::{BodyMotion, VehicleState, Wash, Wrench};
+use sms_wash::{BodyState, VehicleState, Wash, Wrench};
 
 /// Weight of the published vehicle, N.
 pub(crate) const WEIGHT: f64 = 1.182 * 9.81;
@@ -23,7 +23,7 @@ pub(crate) fn hover<'a>(rotors: &'a [Rotor], thrusts: &'a [f64], p_w: DVec3) -> 
 
 /// Returns the wrenches on resting bodies after one step.
 pub(crate) fn once(wash: &mut dyn Wash, vehicle: &VehicleState<'_>, poses: &[DPose3]) -> Vec<Wrench> {
-    let bodies: Vec<_> = poses.iter().map(|x| BodyMotion::at_rest(*x)).collect();
+    let bodies: Vec<_> = poses.iter().map(|x| BodyState::at_rest(*x)).collect();
     let mut wrenches = vec![Wrench::default(); poses.len()];
     wash.step(0.0025, vehicle, &bodies, &mut wrenches);
     wrenches

@@ -3,7 +3,7 @@
 use crate::common::{WEIGHT, at, hover, rotors};
 use glamx::{DPose3, DVec3};
 use sms_robots::Rotor;
-use sms_wash::{BodyMotion, BodySurface, Emission, SphSettings, SphWash, VehicleState, Wash, Wrench};
+use sms_wash::{BodyState, BodySurface, Emission, SphSettings, SphWash, VehicleState, Wash, Wrench};
 
 const DT: f64 = 0.0025;
 
@@ -15,7 +15,7 @@ fn mean(
     from_s: f64,
     to_s: f64,
 ) -> Vec<Wrench> {
-    let bodies: Vec<_> = poses.iter().map(|x| BodyMotion::at_rest(*x)).collect();
+    let bodies: Vec<_> = poses.iter().map(|x| BodyState::at_rest(*x)).collect();
     let mut wrenches = vec![Wrench::default(); poses.len()];
     let mut sums = vec![Wrench::default(); poses.len()];
     let (first, last) = ((from_s / DT).round() as usize, (to_s / DT).round() as usize);
@@ -90,10 +90,10 @@ fn momentum_balances() {
         thrusts: &thrusts,
     };
     let tilted = DPose3::from_parts(DVec3::new(0.0, 0.0, 0.7), glamx::DQuat::from_rotation_y(0.4));
-    let mut moving = BodyMotion::at_rest(tilted);
+    let mut moving = BodyState::at_rest(tilted);
     moving.v_w = DVec3::new(0.1, 0.0, -0.5);
     moving.w_w = DVec3::new(0.0, 2.0, 0.0);
-    let bodies = [moving, BodyMotion::at_rest(at(0.12, 0.0, 0.3))];
+    let bodies = [moving, BodyState::at_rest(at(0.12, 0.0, 0.3))];
     let mut wrenches = [Wrench::default(); 2];
     let (mut impulse_w, mut on_post) = (DVec3::ZERO, 0.0);
     for k in 1..=200 {
@@ -205,7 +205,7 @@ fn what_blows_up_does_not_panic() {
 fn the_wash_of_a_moving_vehicle_lags_behind() {
     let rotor = [Rotor { p_v: DVec3::ZERO, radius: 0.0685 }];
     let mut wash = SphWash::new(vec![plate(0.5)], SphSettings::default()).unwrap();
-    let body = [BodyMotion::at_rest(DPose3::IDENTITY)];
+    let body = [BodyState::at_rest(DPose3::IDENTITY)];
     let v_w = DVec3::X * 1.5;
     let mut wrench = [Wrench::default()];
     let (mut lag, mut weight) = (0.0, 0.0);

@@ -119,9 +119,9 @@ fn the_speed_of_the_body_counts() {
     let mut wash = StreamWash::disk(vec![plate(0.6)], StreamSettings::default()).unwrap();
     let mut wrench = [sms_wash::Wrench::default()];
     for (part, expected) in [(1.0, 0.0), (0.5, 0.25), (-0.5, 2.25)] {
-        let body = sms_wash::BodyMotion {
+        let body = sms_wash::BodyState {
             v_w: DVec3::NEG_Z * exit * part,
-            ..sms_wash::BodyMotion::at_rest(DPose3::IDENTITY)
+            ..sms_wash::BodyState::at_rest(DPose3::IDENTITY)
         };
         wash.step(0.0025, &hover(&rotor, &[3.0], DVec3::Z * 0.5), &[body], &mut wrench);
         assert!((wrench[0].force_w.z / -3.0 - expected).abs() < 1e-9);

@@ -4,7 +4,7 @@ use crate::common::hover;
 use glamx::{DPose3, DQuat, DVec3};
 use sms_robots::Rotor;
 use sms_wash::{
-    BodyMotion, BodySurface, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash, Wrench,
+    BodyState, BodySurface, SphSettings, SphWash, StreamSettings, StreamWash, VehicleState, Wash, Wrench,
 };
 
 const DT: f64 = 0.0025;
@@ -38,7 +38,7 @@ fn lean(wash: &mut dyn Wash, half: DVec3, mass: f64) -> f64 {
         let rotation = DQuat::from_rotation_y(angle);
         let center_w = edge_w + rotation * DVec3::new(-EDGE, 0.0, 0.0);
         let w_w = DVec3::Y * rate;
-        let body = BodyMotion {
+        let body = BodyState {
             x_wb: DPose3::from_parts(center_w, rotation),
             v_w: w_w.cross(center_w - edge_w),
             w_w,
@@ -88,7 +88,7 @@ fn a_box_is_lifted_at_the_threshold() {
             let (mut z, mut speed) = (0.0, 0.0);
             let mut wrench = [Wrench::default()];
             for _ in 0..160 {
-                let body = BodyMotion {
+                let body = BodyState {
                     x_wb: DPose3::from_translation(DVec3::Z * z),
                     v_w: DVec3::Z * speed,
                     w_w: DVec3::ZERO,

@@ -1,5 +1,6 @@
 //! The whole strike: approach, descent, sweep and lift.
 
+use crate::arm::dynamics::workspace::joint_vector;
 use crate::arm::osc::TaskLaw;
 use crate::arm::shape::Clearance;
 use crate::arm::strike::motion::{
@@ -145,8 +146,7 @@ fn approach_path(
     let ReachProblem { model, sweep, config, .. } = *problem;
     let check = problem.clearance_check(detail.interval_s, true);
     let n = model.dof();
-    let mut first = [0.0; MAX_JOINTS];
-    first[..n].copy_from_slice(q_start);
+    let first = joint_vector(q_start);
     let from_home = |to: &[f64], ws: &mut Workspace| {
         let approach = JointMove {
             from: model.home(),

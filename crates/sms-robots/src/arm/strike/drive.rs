@@ -80,11 +80,6 @@ impl SweepDrive {
         &self.strike
     }
 
-    /// Seconds since the start.
-    pub fn time_s(&self) -> f64 {
-        self.time_s
-    }
-
     /// Positions and speeds of the joints.
     pub fn joints(&self) -> (&[f64], &[f64]) {
         let n = self.strike.model.dof();

@@ -3,8 +3,8 @@
 use crate::arm::strike::motion::{JointSample, motor_torques};
 use crate::{Phase, RobotModel, StrikeCheck, StrikePlan, Workspace, joint_friction};
 use serde::{Deserialize, Serialize};
+use sms_core::CoreError;
 use sms_core::table::{Column, write_table};
-use sms_core::{CoreError, atomic};
 use std::path::Path;
 
 /// The failed check of an unchecked program.
@@ -118,14 +118,6 @@ impl JointProgram {
     pub fn checked(self, check: &StrikeCheck) -> Self {
         let failed_checks = check.failed().map(|i| i.detail.clone()).collect();
         Self { executable: check.executable(), failed_checks, ..self }
-    }
-
-    /// Writes JSON.
-    ///
-    /// # Errors
-    /// [`CoreError::Write`].
-    pub fn write_json(&self, path: &Path) -> Result<(), CoreError> {
-        atomic::write_json(path, self)
     }
 
     /// Writes one row per point to a Parquet file: `time_s`, `phase`, `executable` (1, or 0 in every row), for each
