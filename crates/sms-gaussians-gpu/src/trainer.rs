@@ -454,11 +454,11 @@ impl Trainer for GpuTrainer {
     fn render(&mut self, camera: &Camera) -> RenderedMaps {
         let step = Step::of_camera(camera);
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        while width * height > 0 {
-            match self.try_render(&step) {
-                Some(Some(maps)) => return maps,
-                Some(None) => {}
-                None => break,
+        if width * height > 0 {
+            while let Some(rendered) = self.try_render(&step) {
+                if let Some(maps) = rendered {
+                    return maps;
+                }
             }
         }
         let mut blank = RenderedMaps::default();
