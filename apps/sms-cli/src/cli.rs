@@ -41,7 +41,7 @@ pub(crate) enum Command {
     /// Write the scene for other simulators.
     Export(ExportArguments),
     /// Open the report in a browser.
-    View(ViewArguments),
+    View(ReportArguments),
     /// Run all stages on a generated scene.
     Demo(DemoArguments),
     /// Write a small generated recording for trying the commands.
@@ -370,15 +370,7 @@ pub(crate) enum FormatName {
 impl FormatName {
     /// Returns whether the name includes `format`.
     pub(crate) fn includes(self, format: Format) -> bool {
-        match self {
-            Self::Mjcf => format == Format::Mjcf,
-            Self::Urdf => format == Format::Urdf,
-            Self::Sdf => format == Format::Sdf,
-            Self::Usd => format == Format::Usd,
-            Self::Glb => format == Format::Glb,
-            Self::Obj => format == Format::Obj,
-            Self::All => true,
-        }
+        self == Self::All || self.to_possible_value().is_some_and(|value| value.get_name() == format.name())
     }
 }
 
@@ -406,12 +398,6 @@ pub(crate) struct ExportArguments {
     /// replaced.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-}
-
-#[derive(Debug, Args, Clone)]
-pub(crate) struct ViewArguments {
-    /// Folder of the run.
-    pub run: PathBuf,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

@@ -52,6 +52,26 @@ impl<T> Image<T> {
     }
 }
 
+impl ColorImage {
+    /// Draws the outline of a box from `(x0, y0)` to `(x1, y1)`, `thick` pixels wide, clamped to the image.
+    pub fn draw_box(
+        &mut self,
+        (x0, y0): (usize, usize),
+        (x1, y1): (usize, usize),
+        thick: usize,
+        color: [u8; 3],
+    ) {
+        let (x1, y1) = (x1.min(self.width), y1.min(self.height));
+        for y in y0..y1 {
+            for x in x0..x1 {
+                if x < x0 + thick || y < y0 + thick || x + thick >= x1 || y + thick >= y1 {
+                    self[(x, y)] = color;
+                }
+            }
+        }
+    }
+}
+
 impl<T> std::ops::Index<(usize, usize)> for Image<T> {
     type Output = T;
     fn index(&self, (x, y): (usize, usize)) -> &T {

@@ -77,5 +77,5 @@ pub use ranges::Ranges;
 pub use run_folder::{RunFolder, Stage, StageState, toml_value};
 pub use seed::{Seed, StageRng, standard_normal};
 pub use stage_context::StageContext;
-pub use text::{duration_text, length_text};
+pub use text::{duration_text, escape_xml, length_text};
 pub use warnings::{Warning, Warnings};

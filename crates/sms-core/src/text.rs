@@ -1,4 +1,4 @@
-//! Formatting of quantities in messages.
+//! Formatting of quantities in messages, and of text for XML.
 
 /// Formats a length: millimetres below a centimetre, centimetres below a metre, metres above.
 pub fn length_text(metres: f64) -> String {
@@ -17,6 +17,11 @@ pub fn duration_text(seconds: f64) -> String {
         60..3600 => format!("{} min {} s", whole / 60, whole % 60),
         _ => format!("{} h {} min", whole / 3600, whole % 3600 / 60),
     }
+}
+
+/// Escapes text for the content and the attribute values of XML and HTML elements.
+pub fn escape_xml(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]

@@ -8,9 +8,9 @@
 //! restitution; the damping ratio of an underdamped contact is chosen to reproduce it.
 
 use crate::contact::{damping_ratio, with_ground};
-use crate::text::{escape, number, numbers, principal, rgba, small};
+use crate::text::{number, numbers, principal, rgba, small};
 use glamx::{DQuat, DVec3};
-use sms_core::{CoreError, Mesh, atomic};
+use sms_core::{CoreError, Mesh, atomic, escape_xml};
 use sms_scene::{Body, BodyKind, BodyShape, Scene, hull_file, visual_file, write_meshes};
 use std::fmt::Write;
 use std::path::Path;
@@ -49,7 +49,7 @@ pub fn mjcf_text(scene: &Scene) -> String {
     format!(
         include_str!("../assets/scene.xml"),
         time_step = TIME_STEP,
-        name = escape(&scene.name),
+        name = escape_xml(&scene.name),
         gravity = numbers(scene.gravity_w.to_array()),
         assets = file.assets,
         world = file.world,

@@ -1,9 +1,9 @@
 //! SDFormat 1.9: a world with one model per body, and each model as a separate folder for use in other worlds.
 
 use crate::contact::{factors, with_ground};
-use crate::text::{escape, number, numbers, pose_rpy, principal, rgba, small};
+use crate::text::{number, numbers, pose_rpy, principal, rgba, small};
 use glamx::DPose3;
-use sms_core::{CoreError, atomic};
+use sms_core::{CoreError, atomic, escape_xml};
 use sms_scene::{Body, BodyKind, BodyShape, Scene, hull_file, trimesh_file, visual_file, write_meshes};
 use std::fmt::Write;
 use std::path::Path;
@@ -23,7 +23,7 @@ pub(crate) fn write(dir: &Path, scene: &Scene) -> Result<(), CoreError> {
     }
     let world = format!(
         include_str!("../assets/world.sdf"),
-        name = escape(&scene.name),
+        name = escape_xml(&scene.name),
         gravity = numbers(scene.gravity_w.to_array()),
         models = models,
     );
@@ -33,8 +33,8 @@ pub(crate) fn write(dir: &Path, scene: &Scene) -> Result<(), CoreError> {
 fn config(body: &Body) -> String {
     format!(
         include_str!("../assets/model.config"),
-        name = escape(&body.name),
-        description = escape(if body.description.is_empty() { &body.name } else { &body.description }),
+        name = escape_xml(&body.name),
+        description = escape_xml(if body.description.is_empty() { &body.name } else { &body.description }),
     )
 }
 
@@ -78,7 +78,7 @@ fn surface(scene: &Scene, body: &Body) -> String {
 }
 
 fn model(scene: &Scene, body: &Body, pose: Option<&DPose3>, prefix: &str) -> String {
-    let name = escape(&body.name);
+    let name = escape_xml(&body.name);
     let mut t = format!("    <model name=\"{name}\">\n");
     if let Some(pose) = pose {
         let _ = writeln!(t, "      <pose>{}</pose>", pose_rpy(pose));

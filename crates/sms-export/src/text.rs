@@ -3,11 +3,6 @@
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use sms_core::MassProperties;
 
-/// Escapes XML text and attribute values.
-pub(crate) fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
 /// Formats a number for a file: nanometre resolution, stable text, no negative zero.
 pub(crate) fn number(value: f64) -> String {
     let text = format!("{value:.9}");

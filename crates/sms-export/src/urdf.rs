@@ -1,8 +1,8 @@
 //! URDF: one file per body, because a URDF holds one robot and no free bodies, and a loader for PyBullet.
 
 use crate::contact::factors;
-use crate::text::{escape, numbers, pose_rpy, principal, rgba, rpy, small};
-use sms_core::{CoreError, atomic};
+use crate::text::{numbers, pose_rpy, principal, rgba, rpy, small};
+use sms_core::{CoreError, atomic, escape_xml};
 use sms_scene::{Body, BodyKind, BodyShape, Scene, hull_file, trimesh_file, visual_file, write_meshes};
 use std::fmt::Write;
 use std::path::Path;
@@ -51,7 +51,7 @@ fn collisions(body: &Body) -> Vec<(String, String)> {
 }
 
 fn body_text(scene: &Scene, body: &Body) -> String {
-    let name = escape(&body.name);
+    let name = escape_xml(&body.name);
     let f = factors(scene, body);
     let mut t = format!("<?xml version=\"1.0\"?>\n<robot name=\"{name}\">\n  <link name=\"{name}\">\n");
     if let Some(mass) = body.mass.as_ref().filter(|_| body.kind == BodyKind::Dynamic) {

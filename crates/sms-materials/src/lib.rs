@@ -22,11 +22,9 @@
 mod assign;
 mod estimate;
 mod overrides;
-mod store;
 mod table;
 
 pub use assign::{ObjectQuery, assign, without_override};
 pub use estimate::Estimate;
 pub use overrides::{ObjectOverride, OverrideInterval, OverrideValue, Overrides};
-pub use store::{load_queries, save_queries};
 pub use table::{ClassEntry, MaterialTable, Range};

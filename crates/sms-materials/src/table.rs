@@ -119,18 +119,6 @@ impl ClassEntry {
             poissons_ratio: property(self.poissons_ratio),
         }
     }
-
-    fn ranges(&self) -> [(&'static str, Range); 7] {
-        [
-            ("density", self.density),
-            ("fill_factor", self.fill_factor),
-            ("friction", self.friction),
-            ("restitution", self.restitution),
-            ("rolling_m", self.rolling_m),
-            ("youngs_modulus_pa", self.youngs_modulus_pa),
-            ("poissons_ratio", self.poissons_ratio),
-        ]
-    }
 }
 
 impl MaterialTable {
@@ -239,17 +227,19 @@ impl MaterialTable {
             if let Some(unknown) = entry.sources.iter().find(|s| !self.source.contains_key(*s)) {
                 return Some(format!("`{name}` names the unknown source `{unknown}`"));
             }
-            for (key, [best, low, high]) in entry.ranges() {
-                let ordered = low <= best && best <= high && low >= 0.0 && high.is_finite();
-                let in_range = match key {
-                    "restitution" => high <= 1.0,
-                    "fill_factor" => low > 0.0 && high <= 1.0,
-                    "poissons_ratio" => high <= 0.5,
-                    "friction" => high <= 5.0,
-                    "density" => low > 0.0 && high <= 25_000.0,
-                    _ => true,
-                };
-                if !(ordered && in_range) {
+            for (key, [best, low, high], most) in [
+                ("density", entry.density, 25_000.0),
+                ("fill_factor", entry.fill_factor, 1.0),
+                ("friction", entry.friction, 5.0),
+                ("restitution", entry.restitution, 1.0),
+                ("rolling_m", entry.rolling_m, f64::MAX),
+                ("youngs_modulus_pa", entry.youngs_modulus_pa, f64::MAX),
+                ("poissons_ratio", entry.poissons_ratio, 0.5),
+            ] {
+                // Density and fill factor determine the mass, so they must be positive.
+                let may_be_zero = !matches!(key, "density" | "fill_factor");
+                let ordered = low <= best && best <= high && (low > 0.0 || low == 0.0 && may_be_zero);
+                if !(ordered && high <= most) {
                     return Some(format!("{key} of `{name}` cannot be [{best}, {low}, {high}]"));
                 }
             }

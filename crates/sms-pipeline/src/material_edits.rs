@@ -3,14 +3,14 @@
 use crate::Error;
 use crate::run::Run;
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, Material, Property, PropertySource, RunFolder, Warnings};
-use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign, load_queries};
+use sms_core::{InputError, Material, Property, RunFolder, Warnings, atomic};
+use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign};
 use sms_scene::load_scene;
 use std::path::{Path, PathBuf};
 
 /// File of the user's edits in the run's folder, in the format of `sms materialize --materials FILE`.
 pub(crate) const EDITS: &str = "materials.toml";
-/// File of the material queries in the scene's folder.
+/// File of the material queries in the scene's folder: the effect of an edit can be shown without materializing again.
 pub(crate) const QUERIES: &str = "materials.json";
 
 /// Materials of the objects of a scene.
@@ -86,7 +86,7 @@ fn known(scene_dir: &Path) -> Result<Vec<ObjectQuery>, Error> {
         let what = "this scene is damaged, or an earlier version wrote it";
         return Err(InputError::new(what, &path, "run `sms materialize` again").into());
     }
-    Ok(load_queries(&path)?)
+    Ok(atomic::read_json(&path)?)
 }
 
 /// Applies an edit `OBJECT.KEY=VALUE`.
@@ -172,14 +172,8 @@ pub fn material_properties(m: &Material) -> [(&'static str, Property, &'static s
 }
 
 /// Returns the name of a value's source.
-pub fn source_name(property: Property) -> &'static str {
-    match property.source {
-        PropertySource::Vlm => "vlm",
-        PropertySource::Table => "table",
-        PropertySource::User => "user",
-        PropertySource::Prior => "prior",
-        PropertySource::Truth => "truth",
-    }
+pub fn source_name(property: Property) -> String {
+    format!("{:?}", property.source).to_lowercase()
 }
 
 /// Returns the objects with another material in the scene.

@@ -1,4 +1,4 @@
-//! Simple drawings on an image: boxes, and text in letters of 5 × 7 dots.
+//! Simple drawings on an image: text in letters of 5 × 7 dots.
 
 use sms_core::ColorImage;
 
@@ -16,24 +16,6 @@ pub(crate) fn enlarged(image: &ColorImage, factor: usize) -> ColorImage {
         }
     }
     out
-}
-
-/// Draws the outline of a box from `(x0, y0)` to `(x1, y1)`, `thick` pixels wide, clamped to the image.
-pub(crate) fn draw_box(
-    image: &mut ColorImage,
-    (x0, y0): (usize, usize),
-    (x1, y1): (usize, usize),
-    thick: usize,
-    color: [u8; 3],
-) {
-    let (x1, y1) = (x1.min(image.width), y1.min(image.height));
-    for y in y0..y1 {
-        for x in x0..x1 {
-            if x < x0 + thick || y < y0 + thick || x + thick >= x1 || y + thick >= y1 {
-                image[(x, y)] = color;
-            }
-        }
-    }
 }
 
 /// Draws text on a plate of `color` with dots `size` pixels wide, shifted to stay within the image.
@@ -99,7 +81,7 @@ mod tests {
         assert_eq!((image[(12, 3)], image[(13, 3)], image[(19, 11)]), ([9; 3], [255, 0, 0], [255, 0, 0]));
         // The text is wider than the image.
         draw_text(&mut image, (0, 0), "a long name", 1, [0, 255, 0]);
-        draw_box(&mut image, (18, 10), (400, 400), 1, [0, 0, 255]);
+        image.draw_box((18, 10), (400, 400), 1, [0, 0, 255]);
         assert_eq!(
             (image[(17, 10)], image[(18, 10)], image[(19, 11)]),
             ([255, 0, 0], [0, 0, 255], [0, 0, 255])

@@ -3,7 +3,7 @@
 #[cfg(feature = "nets")]
 use crate::Context;
 use crate::Error;
-use crate::picture::{draw_box, draw_text, enlarged};
+use crate::picture::{draw_text, enlarged};
 use serde::{Deserialize, Serialize};
 use sms_core::{BACKGROUND, ColorImage, InputError, LabelMap, Labels, atomic, write_png_color};
 use sms_frames::{Frame, Sequence};
@@ -81,7 +81,7 @@ fn annotated(image: &ColorImage, labels: Option<&Labels>, found: &[FoundBox]) ->
     let at = |v: f64| (v.max(0.0) * factor as f64).round() as usize;
     for f in found {
         let [x0, y0, x1, y1] = f.box_px.map(at);
-        draw_box(&mut out, (x0, y0), (x1, y1), 2, label_color(f.id));
+        out.draw_box((x0, y0), (x1, y1), 2, label_color(f.id));
     }
     // Names are drawn after all boxes, so that no box hides a name.
     for f in found {

@@ -24,11 +24,17 @@ pub trait Section: Default + Serialize + DeserializeOwned {
 }
 
 /// The sections in the order of the data flow, with their types and descriptions: the list for the checks of the file
-/// and of `--set`, and for `sms settings`.
+/// and of `--set`, and for `sms settings`. Some types take the name that errors give to the source of their values.
 macro_rules! sections {
-    ($($name:literal: $kind:ty, $about:literal;)*) => {
+    ($($name:literal: $kind:ty, $about:literal $(, $source:literal)?;)*) => {
         /// Names and descriptions of the sections.
         pub const SECTIONS: &[(&str, &str)] = &[$(($name, $about)),*];
+
+        $(impl Section for $kind {
+            fn validate(&self) -> Result<(), InputError> {
+                <$kind>::validate(self $(, Path::new($source))?)
+            }
+        })*
 
         impl Settings {
             /// Checks that a section's keys exist and that their values have valid types and ranges.
@@ -50,46 +56,11 @@ sections! {
     "scan": ScanConfig, "Gaussians: steps, seeding, losses, rates";
     "entities": EntitiesConfig, "meshes, spheres, convex parts";
     "vlm": VlmConfig, "vision-language model for materials";
-    "plan": PlanConfig, "search for an action";
-    "landing": LandingSettings, "search for a landing";
+    "plan": PlanConfig, "search for an action", "[plan]";
+    "landing": LandingSettings, "search for a landing", "[landing]";
     "flight": FlightFiles, "files of a planned flight, and the arming position";
     "robot": RobotConfig, "the striking arm and its pose";
     "evaluate": EvaluateSettings, "comparison with known models";
-}
-
-macro_rules! validated {
-    ($($kind:ty),*) => {
-        $(impl Section for $kind {
-            fn validate(&self) -> Result<(), InputError> {
-                <$kind>::validate(self)
-            }
-        })*
-    };
-}
-
-validated!(
-    ReadOptions,
-    LoadSettings,
-    PosesConfig,
-    GeometryConfig,
-    ScanConfig,
-    EntitiesConfig,
-    VlmConfig,
-    RobotConfig,
-    EvaluateSettings,
-    FlightFiles
-);
-
-impl Section for LandingSettings {
-    fn validate(&self) -> Result<(), InputError> {
-        Self::validate(self, Path::new("[landing]"))
-    }
-}
-
-impl Section for PlanConfig {
-    fn validate(&self) -> Result<(), InputError> {
-        Self::validate(self, Path::new("[plan]"))
-    }
 }
 
 /// One `--set section.key=value`.

@@ -3,9 +3,8 @@
 use crate::cache::record;
 use crate::settings::vlm_defaults;
 use crate::{Context, Error};
-use sms_core::Warnings;
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, Labels, RunFolder, Seed, StageContext};
+use sms_core::{InputError, Labels, RunFolder, Seed, StageContext, Warnings};
 use sms_entities::EntitySet;
 use sms_frames::Sequence;
 use sms_materials::{Estimate, ObjectQuery};

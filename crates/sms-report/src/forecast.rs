@@ -1,8 +1,7 @@
 //! The forecast section: strategies, reasons for the choice, predicted and realised objective, and sensitivities to the
 //! unknowns.
 
-use crate::html::escape;
-use sms_core::length_text;
+use sms_core::{escape_xml, length_text};
 use sms_plan::{Plan, Strategy};
 use sms_task::Execution;
 use std::fmt::Write;
@@ -72,7 +71,7 @@ pub(crate) fn forecast_section(plan: Option<&Plan>, execution: Option<&Execution
 fn with_names(text: &str) -> String {
     let mut html = String::new();
     for (k, part) in text.split('`').enumerate() {
-        let part = escape(part);
+        let part = escape_xml(part);
         html += &if k % 2 == 1 { format!("<b class=\"name\">{part}</b>") } else { part };
     }
     html
@@ -289,7 +288,7 @@ fn histogram(plan: &Plan, execution: Option<&Execution>) -> String {
     }
     format!(
         "<figure class=\"histogram\"><h3>Predicted and realised</h3>{svg}<figcaption>{}</figcaption></figure>",
-        escape(&caption)
+        escape_xml(&caption)
     )
 }
 

@@ -1,15 +1,10 @@
 //! Helpers for HTML text.
 
 use base64::Engine;
-use sms_core::{ColorImage, CoreError, write_png_color};
+use sms_core::{ColorImage, CoreError, escape_xml, write_png_color};
 use sms_task::Parameter;
 use std::fmt::Write;
 use std::path::Path;
-
-/// Escapes text for element content and attribute values.
-pub(crate) fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
 
 /// Encodes bytes for JSON and for `data:` addresses.
 pub(crate) fn base64_of(bytes: &[u8]) -> String {
@@ -30,10 +25,10 @@ pub(crate) fn action_table(parameters: &[Parameter], values: &[f64], decimals: u
         let _ = write!(
             html,
             "<tr><td>{}</td><td>{value:.decimals$} {unit}</td><td>{:.3} to {:.3} {unit}</td></tr>",
-            escape(&p.name),
+            escape_xml(&p.name),
             p.low,
             p.high,
-            unit = escape(&p.unit)
+            unit = escape_xml(&p.unit)
         );
     }
     html + "</table>"

@@ -1,9 +1,9 @@
 //! The landing section: the approach from above, and the predicted and realised outcomes.
 
-use crate::html::{action_table, escape};
+use crate::html::action_table;
 use crate::top_view::{TopOutline, TopPath, TopShape, TopView};
 use glamx::{DPose3, DVec2, DVec3};
-use sms_core::{Mesh, length_text};
+use sms_core::{Mesh, escape_xml, length_text};
 use sms_landing::{LandingOutcome, LandingPlan, LandingPrediction, QUADROTOR};
 use sms_mesh::outline::{convex_outline, outline_of};
 use sms_scene::{Body, BodyKind, Scene};
@@ -241,11 +241,11 @@ pub(crate) fn landing_section(landing: &LandingInput<'_>) -> String {
     let _ = write!(
         html,
         "<p>On {}, {} above the floor. {} simulated landings with jets, {} with particles, in {}.</p>",
-        escape(&plan.surface.body),
+        escape_xml(&plan.surface.body),
         length_text(plan.surface.top_w),
         e.jet,
         e.sph,
-        escape(&plan.engine)
+        escape_xml(&plan.engine)
     );
     html.push_str("<table><tr><th></th><th>wash</th><th>verdict</th><th>objective</th><th>landing error</th><th>tilt</th></tr>");
     row(&mut html, "predicted, scanned world", &plan.nominal);
@@ -267,9 +267,9 @@ fn row(html: &mut String, name: &str, outcome: &LandingOutcome) {
     let _ = write!(
         html,
         "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.1}°</td></tr>",
-        escape(name),
-        escape(&outcome.wash),
-        escape(&verdict(outcome)),
+        escape_xml(name),
+        escape_xml(&outcome.wash),
+        escape_xml(&verdict(outcome)),
         outcome.objective.map_or_else(|| "–".to_owned(), |o| format!("{o:.3}")),
         length_text(outcome.landing_error_m),
         outcome.tilt_rad.to_degrees()
@@ -292,7 +292,7 @@ fn bodies_table(html: &mut String, landing: &LandingInput<'_>) {
         let _ = write!(
             html,
             "<tr><td>{}</td><td>{}</td><td>{:.1} N</td><td>{}</td></tr>",
-            escape(&change.body),
+            escape_xml(&change.body),
             text(change),
             change.wash_peak_n,
             there.map_or_else(|| "–".to_owned(), text)
@@ -326,7 +326,7 @@ fn prediction_text(p: &LandingPrediction) -> String {
         p.mean,
         p.q10,
         p.q90,
-        escape(&why),
+        escape_xml(&why),
         invalid
     )
 }

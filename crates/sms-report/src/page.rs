@@ -2,14 +2,14 @@
 
 use crate::figures::view_rows;
 use crate::forecast::forecast_section;
-use crate::html::{action_table, escape, write_picture};
+use crate::html::{action_table, write_picture};
 use crate::input::ReportInput;
 use crate::landing::{landing_section, landing_svg, predicted_card, verdict};
 use crate::shot::shot_svg;
 use crate::view3d::view_data;
 use serde_json::Value;
 use sms_core::metrics::Metrics;
-use sms_core::{ColorImage, CoreError, Warning, atomic, length_text};
+use sms_core::{ColorImage, CoreError, Warning, atomic, escape_xml, length_text};
 use sms_gaussians::LossSample;
 use sms_scene::{BodyKind, BodyShape};
 use std::fmt::Write;
@@ -38,8 +38,8 @@ pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, Core
     // `</` would end the script element.
     let data = view_data(input).to_string().replace("</", "<\\/");
     let parts: [(&str, String); 17] = [
-        ("title", escape(&input.title)),
-        ("subtitle", escape(&input.subtitle)),
+        ("title", escape_xml(&input.title)),
+        ("subtitle", escape_xml(&input.subtitle)),
         ("style", STYLE.to_owned()),
         ("cards", cards(input)),
         ("shot", shot.unwrap_or_else(|| missing("scene", "simulate RUN"))),
@@ -52,7 +52,7 @@ pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, Core
         ("losses", loss_curves(&input.losses)),
         ("warnings", warnings_list(&input.warnings)),
         ("metrics", metrics_table(&input.metrics)),
-        ("settings", escape(&input.settings_toml)),
+        ("settings", escape_xml(&input.settings_toml)),
         ("data", data),
         ("scripts", format!("<script>/*\n{THREE_LICENSE}*/\n{THREE}</script>\n<script>{VIEWER}</script>")),
     ];
@@ -87,9 +87,9 @@ fn card(html: &mut String, label: &str, value: &str, note: &str, class: &str) {
         html,
         "<div class=\"card {class}\"><div class=\"label\">{}</div><div class=\"value\">{}</div><div \
          class=\"note\">{}</div></div>",
-        escape(label),
-        escape(value),
-        escape(note)
+        escape_xml(label),
+        escape_xml(value),
+        escape_xml(note)
     );
 }
 
@@ -167,7 +167,7 @@ fn choice_pictures(pictures: &[(String, ColorImage)], dir: &Path) -> Result<Stri
     for (k, (text, image)) in pictures.iter().enumerate() {
         let path = dir.join(format!("choice_{}.png", k + 1));
         let data = write_picture(&path, image)?;
-        let text = escape(text);
+        let text = escape_xml(text);
         let _ = write!(
             html,
             "<figure><img style=\"max-width:100%\" alt=\"{text}\" src=\"{data}\">\
@@ -184,7 +184,7 @@ fn plan_section(input: &ReportInput<'_>) -> String {
     };
     let mut html = action_table(&plan.parameters, &plan.action.0, 4);
     let invalid = if plan.invalid > 0 {
-        let why = plan.failure_text().map(|t| format!(" ({})", escape(&t))).unwrap_or_default();
+        let why = plan.failure_text().map(|t| format!(" ({})", escape_xml(&t))).unwrap_or_default();
         format!(", {} of which were invalid and discarded{why}", plan.invalid)
     } else {
         String::new()
@@ -193,7 +193,7 @@ fn plan_section(input: &ReportInput<'_>) -> String {
         html,
         "<p>{} rollouts in {}{invalid}, from {} starts.</p>",
         plan.evaluations,
-        escape(&plan.engine),
+        escape_xml(&plan.engine),
         plan.starts.len()
     );
     html
@@ -228,7 +228,7 @@ fn objects_table(input: &ReportInput<'_>) -> String {
             BodyShape::TriMesh { mesh } => format!("static mesh, {} triangles", mesh.triangles.len()),
         };
         let role = input.roles.iter().find(|r| r.0 == body.name).map(|r| r.1.as_str());
-        let role = role.map(|r| format!(" <span class=\"tag\">{}</span>", escape(r))).unwrap_or_default();
+        let role = role.map(|r| format!(" <span class=\"tag\">{}</span>", escape_xml(r))).unwrap_or_default();
         let mass = body.mass.map(|p| format!("{:.0} g", p.mass() * 1e3)).unwrap_or_else(|| "static".into());
         let interval =
             |v: sms_core::Interval| format!("{:.2} <small>[{:.2}, {:.2}]</small>", v.best, v.low, v.high);
@@ -240,8 +240,8 @@ fn objects_table(input: &ReportInput<'_>) -> String {
             "<tr><td><span class=\"swatch\" style=\"background:rgb({r},{g},{b})\"></span></td><td>{}{role}</td>\
              <td>{shape}</td><td>{} <small>({source})</small></td><td>{mass}</td><td>{}</td><td>{}</td>\
              <td>{:.0} %</td>",
-            escape(&body.name),
-            escape(&m.class),
+            escape_xml(&body.name),
+            escape_xml(&m.class),
             interval(m.friction.value),
             interval(m.restitution.value),
             100.0 * body.observed_share
@@ -320,9 +320,9 @@ fn warnings_list(warnings: &[Warning]) -> String {
         let _ = write!(
             html,
             "<li><b>{}</b>: {}{times} <i>{}</i></li>",
-            escape(&w.stage),
-            escape(&w.message),
-            escape(&w.cure)
+            escape_xml(&w.stage),
+            escape_xml(&w.message),
+            escape_xml(&w.cure)
         );
     }
     html.push_str("</ul>");
@@ -340,7 +340,8 @@ fn metrics_table(metrics: &Metrics) -> String {
             Value::String(s) => s.clone(),
             other => other.to_string(),
         };
-        let _ = write!(html, "<tr><td><code>{}</code></td><td>{}</td></tr>", escape(key), escape(&shown));
+        let _ =
+            write!(html, "<tr><td><code>{}</code></td><td>{}</td></tr>", escape_xml(key), escape_xml(&shown));
     }
     html.push_str("</table>");
     html

@@ -6,18 +6,13 @@ use crate::quantity::{Quantity, interval, plain, quantity, shortened};
 use sms_materials::Estimate;
 
 /// A part of a reply that could not be used.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{field}: {what}")]
 pub struct Fault {
     /// Name of the field in messages.
     pub field: String,
     /// The problem with it.
     pub what: String,
-}
-
-impl std::fmt::Display for Fault {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}: {}", self.field, self.what)
-    }
 }
 
 /// A parsed reply: values in range and in SI units, and the faults of the rest.

@@ -5,7 +5,7 @@ use crate::cache::{Cache, CachedReply};
 use crate::client::{CallError, Client, Usage};
 use crate::prompt::{SYSTEM, form, picture_part, question, quoted, repair};
 use serde_json::{Value, json};
-use sms_core::{Cancel, CoreError, Hash, Progress, StageContext, Warnings};
+use sms_core::{CoreError, Hash, StageContext, Warnings};
 use sms_materials::Estimate;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -97,33 +97,26 @@ pub fn ask(
     cache: &Cache,
     context: StageContext<'_>,
 ) -> Result<Answers, CoreError> {
-    let StageContext { progress, cancel, warnings, .. } = context;
+    let StageContext { progress, warnings, .. } = context;
     progress.begin("vlm", questions.len() as u64);
-    let keys: Vec<Hash> = questions.iter().map(|q| key(q, client)).collect();
     let stored: Vec<Option<Outcome>> =
-        questions.iter().zip(&keys).map(|(q, k)| from_cache(q, k, cache, warnings)).collect();
+        questions.iter().map(|q| from_cache(q, &key(q, client), cache, warnings)).collect();
     let pending: Vec<usize> = (0..questions.len()).filter(|&i| stored[i].is_none()).collect();
     let slots: Vec<Mutex<Option<Outcome>>> = stored.into_iter().map(Mutex::new).collect();
     let session = AskSession {
         questions,
-        keys: &keys,
         slots: &slots,
         client,
         cache,
-        progress,
-        cancel,
+        context,
         done: AtomicU64::new((questions.len() - pending.len()) as u64),
         failures: AtomicUsize::new(0),
         given_up: Mutex::new(None),
         error: Mutex::new(None),
     };
     if client.config().cache_only {
-        for &i in &pending {
-            session.put(
-                i,
-                Outcome::Fallback("its reply is not in the cache, and no requests are allowed".to_owned()),
-            );
-        }
+        let what = "its reply is not in the cache, and no requests are allowed";
+        pending.iter().for_each(|&i| session.put(i, Outcome::Fallback(what.to_owned())));
     } else if let Some((&first, rest)) = pending.split_first() {
         // The first question finds out which features the server supports, and whether it answers at all.
         session.work(first);
@@ -171,12 +164,10 @@ fn from_cache(q: &Question, key: &Hash, cache: &Cache, warnings: &Warnings) -> O
 
 struct AskSession<'a> {
     questions: &'a [Question],
-    keys: &'a [Hash],
     slots: &'a [Mutex<Option<Outcome>>],
     client: &'a Client,
     cache: &'a Cache,
-    progress: &'a dyn Progress,
-    cancel: &'a Cancel,
+    context: StageContext<'a>,
     done: AtomicU64,
     failures: AtomicUsize,
     given_up: Mutex<Option<GivenUp>>,
@@ -222,7 +213,7 @@ impl AskSession<'_> {
     fn put(&self, i: usize, outcome: Outcome) {
         *lock(&self.slots[i]) = Some(outcome);
         let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
-        self.progress.update(done, &self.questions[i].name);
+        self.context.progress.update(done, &self.questions[i].name);
     }
 
     /// Asks one question, and requests at most `max_repairs` repairs. The best answer counts, even if the server
@@ -236,7 +227,7 @@ impl AskSession<'_> {
         let repairs = self.client.config().max_repairs;
         let form = form();
         for round in 0..=repairs {
-            let completion = match self.client.complete(&q.name, &form, &messages, self.cancel) {
+            let completion = match self.client.complete(&q.name, &form, &messages, self.context.cancel) {
                 Ok(completion) => completion,
                 Err(CallError::Failed(_) | CallError::Declined(_)) if best.is_some() => break,
                 Err(e) => return Err(e),
@@ -252,13 +243,10 @@ impl AskSession<'_> {
                     }
                     faults
                 }
-                Err(what) if completion.is_cut => {
-                    vec![Fault {
-                        field: "reply".into(),
-                        what: format!("{what} (longer than `vlm.max_tokens`)"),
-                    }]
+                Err(what) => {
+                    let cause = if completion.is_cut { " (longer than `vlm.max_tokens`)" } else { "" };
+                    vec![Fault { field: "reply".into(), what: format!("{what}{cause}") }]
                 }
-                Err(what) => vec![Fault { field: "reply".into(), what }],
             };
             if faults.is_empty() {
                 break;
@@ -273,7 +261,7 @@ impl AskSession<'_> {
             return Ok(Outcome::Fallback(format!("its reply cannot be used ({complaint})")));
         };
         let entry = CachedReply::new(&self.client.config().model, &q.name, &text, tokens);
-        self.cache.put(&self.keys[i], &entry)?;
+        self.cache.put(&key(q, self.client), &entry)?;
         Ok(Outcome::Answered {
             estimate: Box::new(reading.estimate),
             faults: reading.faults,

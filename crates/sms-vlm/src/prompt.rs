@@ -32,20 +32,7 @@ pub(crate) fn question(annotation: &str, is_surface: bool) -> String {
             annotation.trim().replace(['"', '\n', '\r'], " ")
         );
     }
-    text.push_str(
-        "Say in description what it is, what it looks like and what it is for. Then name in material what it is made of, as \
-         specific as can be seen; of several materials, the one that makes up most of it. Estimate, for this object:\n\
-         - density_kg_m3: density of that material itself, in kg/m³, not of the object with the air inside;\n\
-         - fill_factor: mass of the object with its contents, over the mass of a block of that material that fills its \
-         outline (with openings and cavities closed). 1 for what is solid through and through, about 0.3 for a mug, 0.05 to \
-         0.2 for an empty box or ball, more for a container that is full;\n\
-         - friction: Coulomb friction coefficient of its surface on a common dry surface;\n\
-         - restitution: coefficient of restitution in a collision with something hard, 0 to 1;\n\
-         - youngs_modulus_pa: Young's modulus of the material, in Pa;\n\
-         - poissons_ratio: Poisson's ratio of the material.\n\n\
-         Give for each the best single estimate and the low and high end of a range that holds the true value nine times out \
-         of ten. Numbers are plain JSON numbers in the units named. Answer with one JSON object of this form:\n",
-    );
+    text.push_str(include_str!("../assets/question.txt"));
     text.push_str(&example());
     text
 }

@@ -248,28 +248,16 @@ fn finite(text: &str) -> Option<f64> {
     text.trim().parse::<f64>().ok().filter(|x| x.is_finite())
 }
 
+/// Words and signs before a number, the longer ones first.
+const APPROXIMATELY: &str = "approximately approx. approx roughly around about circa ca. ~ ≈ =";
+
 /// Splits a text into its numbers and its unit: `about 2,400 kg/m³`, `7×10^10 Pa`, `0.3–0.5`, `2400 ± 200 kg/m3`.
 fn read(text: &str) -> Result<Written, String> {
     let refuse = || format!("`{}` cannot be read as a number with a unit", shortened(text, 40));
     let mut rest = text.trim();
     loop {
         let lower = rest.to_lowercase();
-        let word = [
-            "approximately",
-            "approx.",
-            "approx",
-            "roughly",
-            "around",
-            "about",
-            "circa",
-            "ca.",
-            "~",
-            "≈",
-            "=",
-        ]
-        .into_iter()
-        .find(|w| lower.starts_with(w));
-        let Some(word) = word else { break };
+        let Some(word) = APPROXIMATELY.split(' ').find(|w| lower.starts_with(w)) else { break };
         rest = rest.get(word.len()..).ok_or_else(refuse)?.trim_start();
     }
     if rest.starts_with(['<', '>', '≤', '≥']) {
@@ -281,17 +269,13 @@ fn read(text: &str) -> Result<Written, String> {
     let (early_unit, tail) = split_at_range(after);
     let (numbers, unit) = match tail {
         None => (Numbers::One(first), after),
-        Some((sign, tail)) => {
+        Some((numbers, tail)) => {
             let (second, unit) = leading_number(tail.trim_start()).ok_or_else(refuse)?;
             let unit = unit.trim();
             if !early_unit.is_empty() && !unit.is_empty() && normal_unit(early_unit) != normal_unit(unit) {
                 return Err(format!("`{}` mixes units", shortened(text, 40)));
             }
-            let numbers = match sign {
-                Sign::To => Numbers::Range(first, second),
-                Sign::PlusMinus => Numbers::PlusMinus(first, second),
-            };
-            (numbers, if unit.is_empty() { early_unit } else { unit })
+            (numbers(first, second), if unit.is_empty() { early_unit } else { unit })
         }
     };
     let unit = unit.trim().trim_end_matches(['.', ',', ';']).trim();
@@ -302,16 +286,10 @@ fn read(text: &str) -> Result<Written, String> {
     Ok(Written { numbers, unit: unit.to_owned() })
 }
 
-enum Sign {
-    To,
-    PlusMinus,
-}
-
-/// Splits a text at the sign of a range or a tolerance that a number follows.
-fn split_at_range(text: &str) -> (&str, Option<(Sign, &str)>) {
-    for (sign, plus_minus) in
-        [("±", true), ("+/-", true), ("+-", true), (" to ", false), ("–", false), ("—", false), ("-", false)]
-    {
+/// Splits a text at the sign of a range or a tolerance that a number follows; returns the meaning of the two numbers.
+fn split_at_range(text: &str) -> (&str, Option<(fn(f64, f64) -> Numbers, &str)>) {
+    for sign in ["±", "+/-", "+-", " to ", "–", "—", "-"] {
+        let numbers = if matches!(sign, "±" | "+/-" | "+-") { Numbers::PlusMinus } else { Numbers::Range };
         // ` to ` also at the start, where the preceding space has been trimmed.
         let sign_at = text.find(sign).or_else(|| (sign == " to " && text.starts_with("to ")).then_some(0));
         let Some(at) = sign_at else { continue };
@@ -321,7 +299,7 @@ fn split_at_range(text: &str) -> (&str, Option<(Sign, &str)>) {
         let before = &text[..at];
         let is_exponent = sign == "-" && before.ends_with(|c: char| c.is_alphabetic() || c == '^');
         if !is_exponent && leading_number(tail.trim_start()).is_some() {
-            return (before.trim(), Some((if plus_minus { Sign::PlusMinus } else { Sign::To }, tail)));
+            return (before.trim(), Some((numbers, tail)));
         }
     }
     (text, None)
@@ -362,18 +340,8 @@ fn leading_number(text: &str) -> Option<(f64, &str)> {
 fn power_of_ten(text: &str) -> Option<(i32, &str)> {
     let text = text.trim_start();
     let text = text.strip_prefix(['×', 'x', 'X', '*', '·', '⋅'])?.trim_start().strip_prefix("10")?;
-    let raised: String = text
-        .chars()
-        .take_while(|c| "⁰¹²³⁴⁵⁶⁷⁸⁹⁻".contains(*c))
-        .map(|c| match c {
-            '¹' => '1',
-            '²' => '2',
-            '³' => '3',
-            '⁰' => '0',
-            '⁻' => '-',
-            c => char::from_digit(c as u32 - '⁰' as u32, 10).unwrap_or('x'),
-        })
-        .collect();
+    let lowered = |c: char| "⁰¹²³⁴⁵⁶⁷⁸⁹⁻".chars().zip("0123456789-".chars()).find(|pair| pair.0 == c);
+    let raised: String = text.chars().map_while(lowered).map(|pair| pair.1).collect();
     if !raised.is_empty() {
         let bytes: usize = text.chars().take(raised.chars().count()).map(char::len_utf8).sum();
         return Some((raised.parse().ok().filter(|p: &i32| p.abs() < 400)?, &text[bytes..]));

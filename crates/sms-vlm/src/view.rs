@@ -96,14 +96,8 @@ pub fn score_view(mask: &Image<bool>, depth: Option<&DepthImage>) -> Option<Obje
 pub fn best_view(
     views: impl IntoIterator<Item = Option<ObjectViewScore>>,
 ) -> Option<(usize, ObjectViewScore)> {
-    let mut best: Option<(usize, ObjectViewScore)> = None;
-    for (index, view) in views.into_iter().enumerate() {
-        let Some(view) = view else { continue };
-        if best.is_none_or(|(_, b)| view.score() > b.score()) {
-            best = Some((index, view));
-        }
-    }
-    best
+    let seen = views.into_iter().enumerate().filter_map(|(index, view)| Some((index, view?)));
+    seen.reduce(|best, next| if next.1.score() > best.1.score() { next } else { best })
 }
 
 /// Reads the picture in a file, if it has the proportions of `like` (within 2 %): the recording's own image shows
@@ -171,22 +165,9 @@ pub fn annotated(
 
 /// Draws a red frame with inner edge `[x0, y0, x1, y1]`, moved inside the image.
 fn draw_box(image: &mut ColorImage, [x0, y0, x1, y1]: [f64; 4]) {
-    let (w, h) = (image.width as i64, image.height as i64);
-    let low = |v: f64| (v.floor() as i64 - BOX_WIDTH_PX).max(0);
-    let (left, top) = (low(x0), low(y0));
-    let (right, bottom) =
-        ((x1.ceil() as i64 + BOX_WIDTH_PX).min(w), (y1.ceil() as i64 + BOX_WIDTH_PX).min(h));
-    for y in top..bottom {
-        for x in left..right {
-            let on_frame = x < left + BOX_WIDTH_PX
-                || x >= right - BOX_WIDTH_PX
-                || y < top + BOX_WIDTH_PX
-                || y >= bottom - BOX_WIDTH_PX;
-            if on_frame {
-                image[(x as usize, y as usize)] = [255, 0, 0];
-            }
-        }
-    }
+    let low = |v: f64| (v.floor() as i64 - BOX_WIDTH_PX).max(0) as usize;
+    let high = |v: f64| (v.ceil() as i64 + BOX_WIDTH_PX).max(0) as usize;
+    image.draw_box((low(x0), low(y0)), (high(x1), high(y1)), BOX_WIDTH_PX as usize, [255, 0, 0]);
 }
 
 /// Encodes the image as JPEG; the same image gives the same bytes.

@@ -50,6 +50,11 @@ fn listing(objects: &[ObjectQuery], materials: &[Material]) -> String {
     out
 }
 
+/// Removes zeros at the end of a decimal fraction.
+fn without_zeros(text: &str) -> &str {
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { text }
+}
+
 /// Formats a number with four digits.
 fn number(x: f64) -> String {
     if x == 0.0 {
@@ -57,20 +62,10 @@ fn number(x: f64) -> String {
     }
     if (1e-3..1e5).contains(&x.abs()) {
         let decimals = (3 - x.abs().log10().floor() as i32).clamp(0, 6) as usize;
-        let text = format!("{x:.decimals$}");
-        return if text.contains('.') {
-            text.trim_end_matches('0').trim_end_matches('.').to_owned()
-        } else {
-            text
-        };
+        return without_zeros(&format!("{x:.decimals$}")).to_owned();
     }
     let text = format!("{x:.3e}");
-    match text.split_once('e') {
-        Some((mantissa, power)) if mantissa.contains('.') => {
-            format!("{}e{power}", mantissa.trim_end_matches('0').trim_end_matches('.'))
-        }
-        _ => text,
-    }
+    text.split_once('e').map_or_else(|| text.clone(), |(m, power)| format!("{}e{power}", without_zeros(m)))
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use serde_json::Value;
 use sms_core::glamx::{DPose3, DVec3};
 use sms_core::{Entity, EntityKind, EntityShape, Hash, Mesh, PointCloud, RunFolder, StageState, Warnings};
-use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign, save_queries};
+use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign};
 use std::path::Path;
 use std::process::Output;
 
@@ -58,7 +58,7 @@ fn run_with_a_mug() -> tempfile::TempDir {
     let run = empty_run(dir.path());
     let StageState::Todo(stage) = run.begin("scene", &Hash("test".into()), false).unwrap() else { panic!() };
     sms_scene::save_scene(stage.dir(), &scene).unwrap();
-    save_queries(&stage.dir().join("materials.json"), &queries).unwrap();
+    sms_core::atomic::write_json(&stage.dir().join("materials.json"), &queries).unwrap();
     stage.commit().unwrap();
     dir
 }

@@ -1,7 +1,6 @@
 //! Executes the plan in the target world.
 
-use super::Run;
-use super::RunSettings;
+use super::{Run, RunSettings};
 use crate::Error;
 use crate::cache::{inputs_hash, run_stage};
 use sms_core::metrics::Metrics;

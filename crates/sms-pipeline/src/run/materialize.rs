@@ -14,7 +14,7 @@ use sms_export::mjcf_text;
 use sms_frames::{ReadOptions, Sequence};
 use sms_gaussians::{read_ply, write_ply};
 use sms_masks::load_labels;
-use sms_materials::{MaterialTable, ObjectQuery, Overrides, save_queries};
+use sms_materials::{MaterialTable, ObjectQuery, Overrides};
 use sms_scene::{Scene, save_scene};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -91,7 +91,7 @@ impl Run<'_> {
         let overrides = overrides(&run, request, &queries)?;
         let scene_hash = inputs_hash(&[&hash], &("scene 4", &queries, &overrides, MaterialTable::builtin()))?;
         let scene_dir = run_stage(self.context, &run, "scene", &scene_hash, |stage, warnings| {
-            save_queries(&stage.dir().join(QUERIES), &queries)?;
+            atomic::write_json(&stage.dir().join(QUERIES), &queries)?;
             let name = settings.recording_name();
             let request = SceneRequest {
                 name: &name,

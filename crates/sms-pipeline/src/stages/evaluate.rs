@@ -3,9 +3,7 @@
 use crate::Error;
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
-use sms_core::{
-    Aabb, Entity, EntityKind, EntityShape, InputError, MassProperties, Mesh, PointCloud, Warnings,
-};
+use sms_core::{Entity, EntityKind, EntityShape, InputError, MassProperties, Mesh, PointCloud, Warnings};
 use sms_eval::{
     EvaluateSettings, KnownSurface, ObjectScores, SolidScores, compare_sphere, entity_solid, evaluate_object,
     known_solid, match_objects, read_known_objects,
@@ -108,13 +106,9 @@ pub fn known_truth(truth: &TruthScene, x_wr: &DPose3) -> Vec<KnownBody> {
         cloud: PointCloud::default(),
         mesh: Some(object.mesh_w().transformed(x_wr)),
         sphere: object.sphere_radius.map(|r| (x_wr.transform_point(object.x_wb.translation), r)),
-        reach_m: half_diagonal(&object.aabb_w()),
+        reach_m: 0.5 * object.aabb_w().extents().length(),
     };
     truth.objects.iter().map(carried).collect()
-}
-
-fn half_diagonal(bounds: &Aabb) -> f64 {
-    0.5 * bounds.extents().length()
 }
 
 /// Matches the dynamic entities with the known objects and measures each pair. Objects without a match become warnings;
