@@ -59,26 +59,12 @@ pub struct ScanResult {
 /// `trainer` is fresh: made from `config.train`, `labels.class_count()` and `seed`, without Gaussians or frames. A
 /// checkpoint of the same settings, seed and data in `work_dir` is continued, and the result has the same bytes as
 /// that of an undisturbed run. The held-out frames (`config.holdout`) are neither trained on nor used for seeding.
+/// `&mut ()` is no observer.
 ///
 /// # Errors
 /// [`ScanError::Input`] when sequence and labels do not fit or there is no depth; [`CoreError::Interrupted`] after a
 /// checkpoint was saved when cancelled; [`CoreError::Write`] when the disk is full.
 pub fn scan(
-    sequence: &Sequence,
-    labels: &Labels,
-    config: &ScanConfig,
-    work_dir: &Path,
-    trainer: &mut dyn Trainer,
-    context: StageContext<'_>,
-) -> Result<ScanResult, ScanError> {
-    scan_observed(sequence, labels, config, work_dir, trainer, &mut (), context)
-}
-
-/// [`scan`] with an observer.
-///
-/// # Errors
-/// As [`scan`].
-pub fn scan_observed(
     sequence: &Sequence,
     labels: &Labels,
     config: &ScanConfig,
