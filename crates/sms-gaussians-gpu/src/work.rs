@@ -113,6 +113,20 @@ impl Buffers {
             bytes,
         }
     }
+
+    fn visit<'a>(&'a self, control: &'a wgpu::Buffer, mode: &'a wgpu::Buffer) -> [&'a wgpu::Buffer; 9] {
+        [
+            &self.records,
+            &self.outlines,
+            &self.spans,
+            &self.tile_counts,
+            &self.keys,
+            &self.pair_slots,
+            control,
+            mode,
+            &self.large,
+        ]
+    }
 }
 
 /// Entries of a section of the partial sums: blocks of 16×16 pixels, workgroups of Gaussians or of the segmentation.
@@ -228,22 +242,6 @@ impl StepBuffers {
                 wgpu::BindGroupEntry { binding: 1, resource: observed.as_entire_binding() },
             ],
         })
-    }
-}
-
-impl Buffers {
-    fn visit<'a>(&'a self, control: &'a wgpu::Buffer, mode: &'a wgpu::Buffer) -> [&'a wgpu::Buffer; 9] {
-        [
-            &self.records,
-            &self.outlines,
-            &self.spans,
-            &self.tile_counts,
-            &self.keys,
-            &self.pair_slots,
-            control,
-            mode,
-            &self.large,
-        ]
     }
 }
 
