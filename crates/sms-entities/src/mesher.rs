@@ -35,7 +35,6 @@ pub(crate) struct MeshInput<'a> {
     pub(crate) cloud: &'a PointCloud,
     /// Points on the resting plane.
     pub(crate) contact: &'a [DVec3],
-    /// The resting plane.
     pub(crate) rest: Plane,
     /// Frames for free-space votes.
     pub(crate) views: Option<&'a Views<'a>>,

@@ -343,7 +343,6 @@ fn result_bytes(steps: usize) -> (u64, u64) {
     (4 * CONTROL_WORDS as u64, 4 * (STATS * steps) as u64)
 }
 
-/// A planned step.
 struct PlannedStep {
     frame: FrameId,
     rates: LearningRates,

@@ -27,7 +27,6 @@ pub(crate) struct Room {
     pub(crate) shown: u32,
 }
 
-/// The buffers of a step.
 pub(crate) struct StepBuffers {
     pub(crate) room: Room,
     pub(crate) uniforms: wgpu::Buffer,
