@@ -14,9 +14,6 @@ pub enum BenchError {
     /// Files or interruption.
     #[error(transparent)]
     Core(#[from] CoreError),
-    /// The masks cannot be made or read.
-    #[error(transparent)]
-    Masks(#[from] sms_masks::MasksError),
     /// A stage of the pipeline failed.
     #[error(transparent)]
     Pipeline(#[from] sms_pipeline::Error),
@@ -42,7 +39,6 @@ impl StageError for BenchError {
         match self {
             Self::Input(e) | Self::Unanswered(e) => e.kind(),
             Self::Core(e) => e.kind(),
-            Self::Masks(e) => e.kind(),
             Self::Pipeline(e) => e.kind(),
             Self::Plan(e) => e.kind(),
             Self::Scene(e) => e.kind(),

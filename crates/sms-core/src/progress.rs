@@ -83,6 +83,17 @@ impl CurrentPart {
         // A closed pipe is not an error.
         let _ = writeln!(self.out, "{line}");
     }
+
+    fn json(&mut self, event: &str, message: &str, more: impl FnOnce(&mut Map<String, Value>)) {
+        let mut object = Map::new();
+        object.insert("event".into(), json!(event));
+        object.insert("part".into(), json!(self.name));
+        object.insert("units".into(), json!(self.units));
+        object.insert("seconds".into(), json!(self.began.elapsed().as_secs_f64()));
+        more(&mut object);
+        object.insert("message".into(), json!(message));
+        self.line(Value::Object(object));
+    }
 }
 
 impl std::fmt::Debug for CurrentPart {
@@ -159,19 +170,6 @@ impl JsonProgress {
     /// Writes to standard error; updates at most every `every`.
     pub fn new(every: Duration) -> Self {
         Self(CurrentPart::new(Box::new(std::io::stderr()), every))
-    }
-}
-
-impl CurrentPart {
-    fn json(&mut self, event: &str, message: &str, more: impl FnOnce(&mut Map<String, Value>)) {
-        let mut object = Map::new();
-        object.insert("event".into(), json!(event));
-        object.insert("part".into(), json!(self.name));
-        object.insert("units".into(), json!(self.units));
-        object.insert("seconds".into(), json!(self.began.elapsed().as_secs_f64()));
-        more(&mut object);
-        object.insert("message".into(), json!(message));
-        self.line(Value::Object(object));
     }
 }
 

@@ -18,6 +18,9 @@
 mod body;
 mod build;
 mod cloud;
+#[cfg(test)]
+#[path = "../tests/it/common.rs"]
+mod common;
 mod config;
 mod contact;
 mod draft;
@@ -30,6 +33,8 @@ mod hollow;
 mod level;
 mod lid;
 mod mesher;
+#[cfg(test)]
+mod mesher_tests;
 mod piece;
 mod queries;
 mod recognise;
@@ -46,7 +51,6 @@ pub use build::build_entities;
 pub use cloud::object_gaussians;
 pub use config::{EntitiesConfig, EnvironmentConfig, MeshRule, TextureConfig};
 pub use error::EntitiesError;
-pub use mesher::mesh_cloud;
 pub use queries::material_queries;
 pub use save::{load_entities, save_entities};
 pub use sms_mesh::{ConvexConfig, PrimitiveConfig, SphereConfig};

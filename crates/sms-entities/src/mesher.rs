@@ -7,9 +7,7 @@ use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{Mesh, PointCloud, polyhedron_mass_properties};
 use sms_mesh::{
-    Plane, PointGrid,
-    cloud::measured_spacing,
-    convex_hull, decimate, taubin,
+    Plane, PointGrid, convex_hull, decimate, taubin,
     tetra::{self, NONE, Tetrahedralization, delaunay},
 };
 
@@ -37,37 +35,11 @@ pub(crate) struct MeshInput<'a> {
     pub(crate) cloud: &'a PointCloud,
     /// Points on the resting plane.
     pub(crate) contact: &'a [DVec3],
-    /// The resting plane.
     pub(crate) rest: Plane,
     /// Frames for free-space votes.
     pub(crate) views: Option<&'a Views<'a>>,
     /// Distance between neighbouring points, metres.
     pub(crate) spacing: f64,
-}
-
-/// Returns the closed surface around oriented points, with the rule, the smoothing and the face budget of `config`. The
-/// points should cover the whole surface evenly, at a distance finer than the thickness of its walls; normals (unit,
-/// outward) may be rough. Returns `None` when the points enclose no volume.
-///
-/// ```
-/// use sms_core::{Mesh, PointCloud};
-/// let ball = Mesh::icosphere(0.05, 4);
-/// let normals_w = ball.vertices.iter().map(|v| v.normalize()).collect();
-/// let cloud = PointCloud { points_w: ball.vertices.clone(), normals_w, colors: Vec::new() };
-/// let mesh = sms_entities::mesh_cloud(&cloud, &Default::default()).unwrap();
-/// assert!(mesh.is_closed_oriented() && (mesh.volume() / ball.volume() - 1.0).abs() < 0.01);
-/// ```
-pub fn mesh_cloud(cloud: &PointCloud, config: &EntitiesConfig) -> Option<Mesh> {
-    let usable = cloud.points_w.len() >= 4
-        && cloud.normals_w.len() == cloud.points_w.len()
-        && cloud.points_w.iter().chain(&cloud.normals_w).all(|p| p.is_finite());
-    if !usable {
-        return None;
-    }
-    let spacing = measured_spacing(&cloud.points_w)?;
-    let lowest = cloud.points_w.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
-    let rest = Plane::horizontal(lowest - 1.0);
-    mesh_object(&MeshInput { cloud, contact: &[], rest, views: None, spacing }, config).map(|m| m.0)
 }
 
 /// A closed mesh with positive volume; `None` when the points lie in one plane.

@@ -9,8 +9,8 @@ use sms_core::{Camera, Cancel, Seed, StageContext, Warnings};
 use sms_frames::{LoadSettings, ReadOptions, Recording, load};
 use sms_gaussians::parameters::Parameters;
 use sms_gaussians::{
-    Classifier, CpuTrainer, FrameId, GaussianModel, LearningRates, Preset, RenderedMaps, ScanConfig,
-    Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer, TrainerError, scan,
+    CpuTrainer, FrameId, GaussianModel, LearningRates, Preset, RenderedMaps, ScanConfig, Seedling, StepBatch,
+    StepStats, TrainFrame, TrainState, Trainer, TrainerError, scan,
 };
 use sms_gaussians_gpu::{AdapterChoice, checked_trainer};
 use sms_masks::{GeometryMasks, Segmenter};
@@ -60,6 +60,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         &config,
         &dir,
         &mut trainer,
+        &mut (),
         StageContext::quiet(&cancel, &warnings).with_seed(seed),
     )?;
     let seconds = began.elapsed().as_secs_f64();
@@ -202,13 +203,6 @@ impl Trainer for Timed {
         let began = Instant::now();
         let out = self.trainer.positions_w();
         self.note("positions_w", began);
-        out
-    }
-
-    fn classifier(&self) -> Classifier {
-        let began = Instant::now();
-        let out = self.trainer.classifier();
-        self.note("classifier", began);
         out
     }
 

@@ -125,7 +125,6 @@ const STORAGE_BUFFERS: u32 = 9;
 const WORKGROUP_BYTES: u32 = 32_768;
 
 impl Gpu {
-    /// Opens an adapter.
     pub(crate) fn open(choice: AdapterChoice) -> Result<Self, GpuError> {
         let adapters = all_adapters();
         let rank = |adapter: &wgpu::Adapter| match adapter.get_info().device_type {

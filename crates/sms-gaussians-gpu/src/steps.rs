@@ -5,7 +5,6 @@ use crate::kernels::{BLOCK, ComputeKernel, GAUSSIANS, Kernels, LARGE_GROUPS, SEG
 use crate::uniforms::{STRIDE, Step};
 use crate::work::{Bindings, spread};
 
-/// One dispatch.
 pub(crate) struct Dispatch<'a> {
     pub(crate) name: &'static str,
     pub(crate) kernel: &'a ComputeKernel,

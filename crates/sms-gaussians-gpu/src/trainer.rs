@@ -13,8 +13,8 @@ use rayon::prelude::*;
 use sms_core::{Camera, Seed};
 use sms_gaussians::parameters::{Parameters, Row, sigmoid};
 use sms_gaussians::{
-    Classifier, FrameId, GaussianModel, LearningRates, LossTerms, RenderedMaps, Seedling, StepBatch,
-    StepStats, TrainConfig, TrainFrame, TrainState, Trainer, TrainerError,
+    FrameId, GaussianModel, LearningRates, LossTerms, RenderedMaps, Seedling, StepBatch, StepStats,
+    TrainConfig, TrainFrame, TrainState, Trainer, TrainerError,
 };
 
 /// Greatest number of classes supported by the kernels.
@@ -343,7 +343,6 @@ fn result_bytes(steps: usize) -> (u64, u64) {
     (4 * CONTROL_WORDS as u64, 4 * (STATS * steps) as u64)
 }
 
-/// A planned step.
 struct PlannedStep {
     frame: FrameId,
     rates: LearningRates,
@@ -482,10 +481,6 @@ impl Trainer for GpuTrainer {
 
     fn places(&self) -> (Vec<Vec3>, Vec<f32>) {
         self.map_places(|place| (Vec3::from_slice(&place[..3]), sigmoid(place[3]))).into_iter().unzip()
-    }
-
-    fn classifier(&self) -> Classifier {
-        self.parameters().classifier.classifier()
     }
 
     fn model(&self) -> GaussianModel {

@@ -27,7 +27,6 @@ pub(crate) struct Room {
     pub(crate) shown: u32,
 }
 
-/// The buffers of a step.
 pub(crate) struct StepBuffers {
     pub(crate) room: Room,
     pub(crate) uniforms: wgpu::Buffer,
@@ -112,6 +111,20 @@ impl Buffers {
             maps: buffer("maps", 36 * shown),
             bytes,
         }
+    }
+
+    fn visit<'a>(&'a self, control: &'a wgpu::Buffer, mode: &'a wgpu::Buffer) -> [&'a wgpu::Buffer; 9] {
+        [
+            &self.records,
+            &self.outlines,
+            &self.spans,
+            &self.tile_counts,
+            &self.keys,
+            &self.pair_slots,
+            control,
+            mode,
+            &self.large,
+        ]
     }
 }
 
@@ -228,22 +241,6 @@ impl StepBuffers {
                 wgpu::BindGroupEntry { binding: 1, resource: observed.as_entire_binding() },
             ],
         })
-    }
-}
-
-impl Buffers {
-    fn visit<'a>(&'a self, control: &'a wgpu::Buffer, mode: &'a wgpu::Buffer) -> [&'a wgpu::Buffer; 9] {
-        [
-            &self.records,
-            &self.outlines,
-            &self.spans,
-            &self.tile_counts,
-            &self.keys,
-            &self.pair_slots,
-            control,
-            mode,
-            &self.large,
-        ]
     }
 }
 

@@ -32,7 +32,7 @@
 //! let dir = tempfile::tempdir()?;
 //! let (cancel, warnings) = (Cancel::new(), Warnings::new());
 //! let context = StageContext::quiet(&cancel, &warnings).with_seed(seed);
-//! let result = scan(&sequence, &labels, &config, dir.path(), &mut trainer, context)?;
+//! let result = scan(&sequence, &labels, &config, dir.path(), &mut trainer, &mut (), context)?;
 //! assert!(result.model.positions_w.iter().all(|p| (p.z - 0.5).abs() < 1e-3));
 //! assert_eq!(read_ply(&dir.path().join("scene.ply"))?.len(), result.model.len());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -63,7 +63,7 @@ pub use model::{AFFINITY_DIM, Classifier, GaussianModel};
 pub use scan::{
     BatchDone, LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanObserver, ScanResult,
     SeedingConfig, SlotDone, StageSeconds, StopConfig, ViewRender, ViewScore, read_ply, render_views, scan,
-    scan_observed, write_ply,
+    write_ply,
 };
 pub use trainer::{
     FrameId, LossTerms, RenderedMaps, Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer,

@@ -126,11 +126,8 @@ fn row_of(s: &Seedling) -> Option<Row> {
 }
 
 fn keep<T>(values: &mut Vec<T>, mask: &[bool]) {
-    let mut index = 0;
-    values.retain(|_| {
-        index += 1;
-        mask[index - 1]
-    });
+    let mut mask = mask.iter();
+    values.retain(|_| mask.next() == Some(&true));
 }
 
 const STATE_VERSION: u32 = 1;

@@ -4,7 +4,7 @@
 //! Adam moments are below it, on the device.
 
 use crate::parameters::Parameters;
-use crate::{AFFINITY_DIM, Classifier, GaussianModel, LearningRates, LossWeights};
+use crate::{AFFINITY_DIM, GaussianModel, LearningRates, LossWeights};
 use glamx::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
 use sms_core::{Camera, CoreError};
@@ -230,8 +230,6 @@ pub trait Trainer: Send {
     fn places(&self) -> (Vec<Vec3>, Vec<f32>) {
         (self.positions_w(), self.opacities())
     }
-    /// The classifier.
-    fn classifier(&self) -> Classifier;
     /// The model in natural units with labels filled in.
     fn model(&self) -> GaussianModel;
     /// The whole state, for a checkpoint.

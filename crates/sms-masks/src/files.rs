@@ -359,6 +359,6 @@ mod tests {
         let cancel = Cancel::new();
         cancel.cancel();
         let stopped = FileMasks::default().segment(&sequence, StageContext::quiet(&cancel, &Warnings::new()));
-        assert!(matches!(stopped, Err(MasksError::Core(sms_core::CoreError::Interrupted))));
+        assert!(matches!(stopped, Err(MasksError::Interrupted)));
     }
 }

@@ -26,7 +26,6 @@
 //! ```
 
 mod complete;
-mod error;
 mod files;
 mod geometry;
 mod names;
@@ -41,7 +40,6 @@ mod voxels;
 mod fixture;
 
 pub use complete::{Completed, complete};
-pub use error::MasksError;
 pub use files::FileMasks;
 pub use geometry::{GeometryConfig, GeometryMasks};
 pub use names::{file_name, unique};
@@ -55,6 +53,9 @@ pub use unknown::add_unknown;
 use sms_core::StageContext;
 use sms_frames::Sequence;
 
+/// Errors of this crate: bad input, unreadable files, an interruption.
+pub type MasksError = sms_core::CoreError;
+
 /// The stage's name in warnings.
 pub(crate) const STAGE: &str = "masks";
 
@@ -64,7 +65,6 @@ pub trait Segmenter {
     /// sequence and objects ordered by id.
     ///
     /// # Errors
-    /// [`MasksError::Input`] if the user's input does not fit the sequence, [`MasksError::Core`] for files and
-    /// interruption.
+    /// [`MasksError::Input`] if the user's input does not fit the sequence; errors of files, and interruption.
     fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError>;
 }

@@ -34,7 +34,7 @@ struct ObjectRow {
 /// Writes one 16-bit label PNG per frame (`000000.png`, …) and `labels.json` into `dir`.
 ///
 /// # Errors
-/// [`MasksError::Core`] if a file cannot be written.
+/// [`MasksError::Write`].
 pub fn save_labels(dir: &Path, labels: &Labels) -> Result<(), MasksError> {
     for (index, map) in labels.maps.iter().enumerate() {
         write_png_gray16(&dir.join(format!("{index:06}.png")), map)?;
@@ -46,8 +46,7 @@ pub fn save_labels(dir: &Path, labels: &Labels) -> Result<(), MasksError> {
     let objects = labels.objects.iter().map(row).collect();
     let file = LabelsFile { source: labels.source, frames: labels.maps.len(), objects };
     // The index is written last: a folder with `labels.json` is complete.
-    atomic::write_json(&dir.join("labels.json"), &file)?;
-    Ok(())
+    atomic::write_json(&dir.join("labels.json"), &file)
 }
 
 /// Reads the files written by [`save_labels`], and applies the user's edits of `labels.json`: names and descriptions

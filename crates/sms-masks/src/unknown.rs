@@ -18,7 +18,7 @@ const FRAMES: usize = 40;
 /// Clusters that may belong to a labelled object or to the surroundings remain static background.
 ///
 /// # Errors
-/// [`MasksError::Input`] for invalid settings, [`MasksError::Core`] for interruption.
+/// [`MasksError::Input`] for invalid settings, [`MasksError::Interrupted`] when cancelled.
 pub fn add_unknown(
     labels: &Labels,
     sequence: &Sequence,

@@ -1,29 +1,9 @@
-//! Oriented point clouds: spacing, thinning, normals, selection.
+//! Oriented point clouds: thinning, normals, selection.
 
 use crate::pca::{principal_axes, scatter};
 use crate::point_grid::PointGrid;
-use crate::statistics::median;
 use glamx::DVec3;
 use sms_core::{Aabb, PointCloud};
-
-/// Returns the median distance to the nearest distinct neighbour, metres, scaled to the pitch of an even cover (random
-/// points have half the distance of even ones); `None` if all points coincide.
-pub fn measured_spacing(points: &[DVec3]) -> Option<f64> {
-    let extents = Aabb::of_points(points.iter().copied())?.extents();
-    // Pitch of n points on a surface with this bounding box.
-    let guess = (extents.length_squared() / points.len() as f64).sqrt();
-    if !(guess > 0.0 && guess.is_finite()) {
-        return None;
-    }
-    let grid = PointGrid::new(points, guess);
-    let stride = points.len().div_ceil(2000).max(1);
-    let gaps = points
-        .iter()
-        .step_by(stride)
-        .filter_map(|&p| grid.nearest_k(p, 4).into_iter().map(|n| n.0.sqrt()).find(|&d| d > 0.0));
-    let gaps: Vec<f64> = gaps.collect();
-    (!gaps.is_empty()).then(|| 2.0 * median(gaps))
-}
 
 /// Returns the indices of points that are at least `distance` apart, in order. Points on opposite sides of a thin wall
 /// are independent.
@@ -126,11 +106,8 @@ pub fn extend(cloud: &mut PointCloud, by: PointCloud) {
 /// Keeps the points whose entry is true.
 pub fn retain(cloud: &mut PointCloud, keep: &[bool]) {
     fn filter<T: Copy>(values: &mut Vec<T>, keep: &[bool]) {
-        let mut i = 0;
-        values.retain(|_| {
-            i += 1;
-            keep[i - 1]
-        });
+        let mut keep = keep.iter();
+        values.retain(|_| keep.next() == Some(&true));
     }
     filter(&mut cloud.points_w, keep);
     filter(&mut cloud.normals_w, keep);

@@ -51,7 +51,9 @@ fn main() -> Result<(), NetsError> {
     let (mut seconds, mut cpu_used) = (Vec::new(), Vec::new());
     match what.as_str() {
         "owlv2" => {
-            let model = Owlv2::new(&Owlv2Config::base_patch16(), &weights)?;
+            let mut config = Owlv2Config::default();
+            config.vision_config.image_size = 960;
+            let model = Owlv2::new(&config, &weights)?;
             for i in 0..repeats {
                 let pixels = image(960, i)?;
                 device.synchronize()?;

@@ -41,7 +41,7 @@ impl From<NetsError> for MasksError {
     fn from(error: NetsError) -> Self {
         match error {
             NetsError::Input(input) => Self::Input(input),
-            NetsError::Core(core) => Self::Core(core),
+            NetsError::Core(core) => core,
             NetsError::Compute(error) => Self::Input(
                 InputError::new(
                     "a network could not be computed",

@@ -49,7 +49,7 @@ fn quick_gelu(x: f32) -> f32 {
 }
 
 /// Returns the values of a contiguous tensor of 32-bit floats.
-fn values<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
+pub(crate) fn values<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
     let (start, end) = layout
         .contiguous_offsets()
         .ok_or_else(|| Error::Msg("a CPU kernel requires a contiguous tensor".into()))?;

@@ -379,25 +379,7 @@ impl NetsMasks {
         }
         Ok(maps)
     }
-}
 
-/// Gives each pixel the object with the largest logit, if above 0 (the first of equals).
-fn labelled(masks: &[Option<ObjectMask>], (width, height): (usize, usize)) -> LabelMap {
-    let mut map = LabelMap::filled(width, height, BACKGROUND);
-    let mut best = vec![0f32; width * height];
-    for (i, mask) in masks.iter().enumerate() {
-        let Some(mask) = mask.as_ref().filter(|m| m.is_present()) else { continue };
-        let logits = mask.resized(width, height);
-        for ((label, best), logit) in map.data.iter_mut().zip(&mut best).zip(logits) {
-            if logit > *best {
-                (*label, *best) = (i as u16 + 1, logit);
-            }
-        }
-    }
-    map
-}
-
-impl NetsMasks {
     /// Applies [`NetsMasks::find`] to the first frame of `sequence`, in its original image if it still exists. This
     /// takes seconds, but tracking takes minutes, so callers can show the detections first.
     ///
@@ -440,6 +422,22 @@ impl NetsMasks {
         cancel.check()?;
         Ok(Labels { maps, objects: label_infos(&names), source: MaskSource::Foundation })
     }
+}
+
+/// Gives each pixel the object with the largest logit, if above 0 (the first of equals).
+fn labelled(masks: &[Option<ObjectMask>], (width, height): (usize, usize)) -> LabelMap {
+    let mut map = LabelMap::filled(width, height, BACKGROUND);
+    let mut best = vec![0f32; width * height];
+    for (i, mask) in masks.iter().enumerate() {
+        let Some(mask) = mask.as_ref().filter(|m| m.is_present()) else { continue };
+        let logits = mask.resized(width, height);
+        for ((label, best), logit) in map.data.iter_mut().zip(&mut best).zip(logits) {
+            if logit > *best {
+                (*label, *best) = (i as u16 + 1, logit);
+            }
+        }
+    }
+    map
 }
 
 impl Segmenter for NetsMasks {

@@ -97,7 +97,6 @@ impl Weights {
         Ok(vec![self.linear(names[0], size, inner)?, self.linear(names[1], inner, size)?])
     }
 
-    /// A layer normalisation.
     pub(crate) fn layer_norm(&self, name: &str, size: usize, eps: f64) -> Loaded<LayerNorm> {
         let at = self.at(name);
         Ok(LayerNorm::new(at.tensor("weight", &[size])?, at.tensor("bias", &[size])?, eps))

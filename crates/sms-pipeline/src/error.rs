@@ -37,8 +37,6 @@ errors! {
     Input(InputError),
     /// A file cannot be read or written, or the run was interrupted.
     Core(CoreError),
-    /// The masks failed.
-    Masks(sms_masks::MasksError),
     /// The training of the Gaussians failed.
     Scan(sms_gaussians::ScanError),
     /// The entities failed.

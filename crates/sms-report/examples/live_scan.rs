@@ -3,7 +3,7 @@
 
 use sms_core::{Cancel, PlainProgress, Seed, StageContext, Warnings};
 use sms_frames::Sequence;
-use sms_gaussians::{CpuTrainer, Preset, ScanConfig, scan_observed};
+use sms_gaussians::{CpuTrainer, Preset, ScanConfig, scan};
 use sms_report::{LiveScan, Viewer};
 use std::path::Path;
 
@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let work = tempfile::tempdir()?;
     let progress = PlainProgress::default();
     let (cancel, warnings) = (Cancel::new(), Warnings::new());
-    scan_observed(
+    scan(
         &sequence,
         &labels,
         &config,

@@ -4,7 +4,7 @@
 //!   surface, convex pieces, true material and mass properties.
 //! - [`LandingStructure`] and [`generate_landing`]: structures for a quadrotor to land on, with the loads that topple them
 //!   ([`TruthScene::tipping_load_n`]); [`HelicalPath`] records them. [`landing_scene_among`] builds them with scanned models.
-//! - [`CameraPath`] and [`render`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] simulates
+//! - [`CameraPath`] and [`Renderer`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] simulates
 //!   the errors of a real stereo camera.
 //! - [`read_model`] and [`standing`]: a scanned, textured model on a floor; [`record_views`] records it from any camera poses.
 //!   [`generate_billiards_among`] places such models among a billiards scene's obstacles.
@@ -64,7 +64,7 @@ pub use materials::draw_material_named;
 pub use model::{ModelScene, ScannedModel, read_model, standing};
 pub use path::{CameraPath, HelicalPath};
 pub use recording::{RecordingSettings, RecordingSummary, SceneViews, record_views, write_recording};
-pub use render::{CameraModel, RenderedFrame, Renderer, render};
+pub use render::{CameraModel, RenderedFrame, Renderer};
 pub use scanned::{NamedModel, generate_billiards_among, read_models};
 pub use scene::{
     Hollow, LandingTruth, SupportLevel, TruthFloor, TruthObject, TruthScene, bounds_w, name_uniquely, on_top,

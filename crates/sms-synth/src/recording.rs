@@ -9,6 +9,7 @@ use glamx::{DMat4, DPose3, DQuat, DVec3};
 use rand::RngExt;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 use sms_core::{
     Camera, Cancel, CoreError, DepthImage, Image, InputError, Intrinsics, Progress, Seed, StageRng, atomic,
     hash_serializable, write_png_color, write_png_gray16,
@@ -117,49 +118,6 @@ pub struct RecordingSummary {
     pub frames: usize,
     /// Frames rendered by this call; the others existed.
     pub rendered: usize,
-}
-
-#[derive(Serialize)]
-struct TransformsFile {
-    camera_model: &'static str,
-    fl_x: f64,
-    fl_y: f64,
-    cx: f64,
-    cy: f64,
-    w: usize,
-    h: usize,
-    k1: f64,
-    k2: f64,
-    p1: f64,
-    p2: f64,
-    depth_unit_scale_factor: f64,
-    pixel_center: f64,
-    world_up: [f64; 3],
-    world_is_aligned: bool,
-    camera_convention: &'static str,
-    frames: Vec<TransformsEntry>,
-}
-
-#[derive(Serialize)]
-struct TransformsEntry {
-    file_path: String,
-    depth_file_path: String,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    mask_path: Option<String>,
-    transform_matrix: [[f64; 4]; 4],
-}
-
-#[derive(Serialize)]
-struct MaskList {
-    objects: Vec<MaskEntry>,
-    up_vector_world: [f64; 3],
-}
-
-#[derive(Serialize)]
-struct MaskEntry {
-    name: String,
-    description: String,
-    mask_value: usize,
 }
 
 /// Identity of a recording; a folder holds frames of one only.
@@ -338,52 +296,47 @@ fn encode_depth(depth: &DepthImage, unit_m: f64) -> Image<u16> {
     })
 }
 
-fn objects_file(scene: &TruthScene) -> MaskList {
-    let entry = |(i, o): (usize, &crate::TruthObject)| MaskEntry {
-        name: o.name.clone(),
-        description: o.class.clone(),
-        mask_value: i + 1,
-    };
-    MaskList {
-        objects: scene.objects.iter().enumerate().map(entry).collect(),
-        up_vector_world: [0.0, 0.0, 1.0],
-    }
+/// Returns the list of the label images' values, as in `objects.json`.
+fn objects_file(scene: &TruthScene) -> Value {
+    let entry = |(i, o): (usize, &crate::TruthObject)| json!({ "name": o.name, "description": o.class, "mask_value": i + 1 });
+    let objects: Vec<Value> = scene.objects.iter().enumerate().map(entry).collect();
+    json!({ "objects": objects, "up_vector_world": [0.0, 0.0, 1.0] })
 }
 
-fn transforms(settings: &RecordingSettings, poses: &[DPose3]) -> TransformsFile {
+/// Returns the contents of `transforms.json`; the order of the keys is that of the file.
+fn transforms(settings: &RecordingSettings, poses: &[DPose3]) -> Value {
     let k = settings.intrinsics();
-    let frames = poses
-        .iter()
-        .enumerate()
-        .map(|(index, x_wc)| {
-            let mut rng = settings.seed.derive_index("pose", index as u64).rng();
-            TransformsEntry {
-                file_path: frame_name("color", index),
-                depth_file_path: frame_name("depth", index),
-                mask_path: settings.expose_masks.then(|| frame_name("masks", index)),
-                transform_matrix: opengl_matrix(&disturbed(x_wc, settings, &mut rng)),
-            }
-        })
-        .collect();
-    TransformsFile {
-        camera_model: "OPENCV",
-        fl_x: k.fx,
-        fl_y: k.fy,
-        cx: k.cx,
-        cy: k.cy,
-        w: k.width,
-        h: k.height,
-        k1: 0.0,
-        k2: 0.0,
-        p1: 0.0,
-        p2: 0.0,
-        depth_unit_scale_factor: settings.depth_unit_m,
-        pixel_center: 0.5,
-        world_up: [0.0, 0.0, 1.0],
-        world_is_aligned: true,
-        camera_convention: "OpenGL camera axes (x right, y up, z backward), transform_matrix is camera-to-world, metres",
-        frames,
-    }
+    let frame = |(index, x_wc): (usize, &DPose3)| {
+        let mut rng = settings.seed.derive_index("pose", index as u64).rng();
+        let mut frame = json!({
+            "file_path": frame_name("color", index),
+            "depth_file_path": frame_name("depth", index),
+        });
+        if settings.expose_masks {
+            frame["mask_path"] = frame_name("masks", index).into();
+        }
+        frame["transform_matrix"] = json!(opengl_matrix(&disturbed(x_wc, settings, &mut rng)));
+        frame
+    };
+    json!({
+        "camera_model": "OPENCV",
+        "fl_x": k.fx,
+        "fl_y": k.fy,
+        "cx": k.cx,
+        "cy": k.cy,
+        "w": k.width,
+        "h": k.height,
+        "k1": 0.0,
+        "k2": 0.0,
+        "p1": 0.0,
+        "p2": 0.0,
+        "depth_unit_scale_factor": settings.depth_unit_m,
+        "pixel_center": 0.5,
+        "world_up": [0.0, 0.0, 1.0],
+        "world_is_aligned": true,
+        "camera_convention": "OpenGL camera axes (x right, y up, z backward), transform_matrix is camera-to-world, metres",
+        "frames": poses.iter().enumerate().map(frame).collect::<Vec<_>>(),
+    })
 }
 
 /// Adds the noise of a tracking system to a pose.

@@ -48,12 +48,7 @@ pub struct RenderedFrame {
     pub label: LabelMap,
 }
 
-/// Renders one frame. [`Renderer`] prepares the scene once for many frames.
-pub fn render(scene: &TruthScene, camera: &Camera, model: &CameraModel) -> RenderedFrame {
-    Renderer::new(scene).render(camera, model)
-}
-
-/// A scene prepared for rendering.
+/// A scene prepared for rendering any number of frames.
 #[derive(Debug)]
 pub struct Renderer<'a> {
     scene: &'a TruthScene,

@@ -1,13 +1,12 @@
 //! Defective scans: each gives a valid body or a warning that names the object, and never panics.
 
 use crate::common::*;
-use rand::RngExt;
 use sms_core::glamx::{DVec3, Quat, Vec3};
 use sms_core::{
-    Cancel, Entity, EntityShape, LabelInfo, MaskSource, Mesh, PointCloud, Seed, StageContext, Warnings,
+    Cancel, Entity, EntityShape, LabelInfo, MaskSource, Mesh, Seed, StageContext, Warnings,
     polyhedron_mass_properties,
 };
-use sms_entities::{EntitiesConfig, EntitiesError, EntitySet, MeshRule, build_entities, mesh_cloud};
+use sms_entities::{EntitiesConfig, EntitiesError, EntitySet, MeshRule, build_entities};
 use sms_mesh::{ConvexConfig, convex_parts};
 
 /// Returns whether a mesh is a solid of finite, positive volume with mass properties.
@@ -282,92 +281,6 @@ fn one_inside_another_stay_two_bodies_and_the_hollow_stays_free() {
 fn middle(entity: &Entity) -> DVec3 {
     let bounds = entity.mesh.aabb().unwrap();
     0.5 * (bounds.min + bounds.max)
-}
-
-fn joined(a: PointCloud, b: PointCloud) -> PointCloud {
-    PointCloud {
-        points_w: [a.points_w, b.points_w].concat(),
-        normals_w: [a.normals_w, b.normals_w].concat(),
-        colors: [a.colors, b.colors].concat(),
-    }
-}
-
-/// Both complete surfaces, including the parts inside the other sphere.
-fn two_spheres() -> PointCloud {
-    let sphere = |x: f64, seed| sample_surface_of(&ball(DVec3::X * x, 0.03), 0.07, 2500, 0.0003, 0.1, seed);
-    joined(sphere(-0.015, 1), sphere(0.015, 2))
-}
-
-#[test]
-fn tangled_clouds_give_solids() {
-    let r = 0.03;
-    let plain = || sample_surface_of(&ball(DVec3::ZERO, r), 0.05, 3000, 0.0003, 0.1, 3);
-    let volume = 4.0 / 3.0 * std::f64::consts::PI * r * r * r;
-    // Two balls, each through the centre of the other, share a lens of 5/16 of a ball's volume.
-    let spheres = (2.0 - 5.0 / 16.0) * volume;
-    let mut rng = Seed(5).rng();
-    let mut scattered = plain();
-    for n in &mut scattered.normals_w {
-        *n = (DVec3::new(rng.random(), rng.random(), rng.random()) - 0.5).normalize_or(DVec3::Z);
-    }
-    let mut flipped = plain();
-    flipped.normals_w.iter_mut().for_each(|n| *n = -*n);
-    let mut some_flipped = plain();
-    some_flipped.normals_w.iter_mut().step_by(5).for_each(|n| *n = -*n);
-    let mut without = plain();
-    without.normals_w.iter_mut().for_each(|n| *n = DVec3::ZERO);
-    let tripled = joined(joined(plain(), plain()), plain());
-    let noise = PointCloud {
-        points_w: (0..1500).map(|_| DVec3::new(rng.random(), rng.random(), rng.random()) * 0.05).collect(),
-        normals_w: (0..1500).map(|_| DVec3::Y).collect(),
-        colors: vec![[0; 3]; 1500],
-    };
-    let far = PointCloud { points_w: plain().points_w.iter().map(|&p| p + 1e4).collect(), ..plain() };
-    let tiny = PointCloud { points_w: plain().points_w.iter().map(|&p| p * 1e-4).collect(), ..plain() };
-    // Expected volume and the relative error allowed; `None` if any solid within the cloud is valid.
-    let clouds = [
-        ("two spheres", two_spheres(), Some((spheres, 0.08))),
-        ("random normals", scattered, None),
-        ("flipped normals", flipped, None),
-        ("every fifth normal flipped", some_flipped, Some((volume, 0.03))),
-        ("normals of no length", without, None),
-        ("every point thrice", tripled, Some((volume, 0.03))),
-        ("points all over a cube", noise, None),
-        ("far from the origin", far, Some((volume, 0.03))),
-        ("of three micrometres", tiny, None),
-    ];
-    for (name, cloud, expected) in clouds {
-        for config in [EntitiesConfig::default(), prune()] {
-            let mesh = mesh_cloud(&cloud, &config);
-            let mesh = mesh.unwrap_or_else(|| panic!("{name}, {:?}: no mesh", config.mesh));
-            let ratio = mesh.volume() / expected.map_or(volume, |e| e.0);
-            println!("{name}, {:?}: volume × {ratio:.3}", config.mesh);
-            assert!(is_solid(&mesh) && ratio < 1.03, "{name}: {ratio}");
-            if let (Some((_, allowed)), MeshRule::Vote) = (expected, config.mesh) {
-                assert!((ratio - 1.0).abs() < allowed, "{name}: {ratio}");
-            }
-        }
-    }
-}
-
-#[test]
-fn clouds_that_are_no_numbers_or_do_not_match_give_nothing() {
-    let plain = sample_surface_of(&ball(DVec3::ZERO, 0.03), 0.05, 500, 0.0, 0.0, 3);
-    let with = |change: &dyn Fn(&mut PointCloud)| {
-        let mut cloud = plain.clone();
-        change(&mut cloud);
-        mesh_cloud(&cloud, &EntitiesConfig::default())
-    };
-    assert!(with(&|_| {}).is_some());
-    assert_eq!(with(&|c| c.points_w[7].x = f64::NAN), None);
-    assert_eq!(with(&|c| c.normals_w[7].x = f64::NAN), None);
-    assert_eq!(with(&|c| c.points_w[7].y = f64::INFINITY), None);
-    assert_eq!(with(&|c| c.normals_w.truncate(100)), None);
-    assert_eq!(with(&|c| c.points_w.iter_mut().for_each(|p| *p = DVec3::ONE)), None);
-    assert_eq!(with(&|c| c.points_w.iter_mut().for_each(|p| *p *= DVec3::X)), None);
-    // The squares of these coordinates overflow: the mesher must return `None` or a solid.
-    assert_eq!(with(&|c| c.points_w.iter_mut().for_each(|p| *p *= 1e200)).map(|m| m.volume()), None);
-    assert_eq!(with(&|c| c.points_w[7] = DVec3::splat(1e6)).map(|m| m.volume()), None);
 }
 
 fn moved(mesh: &Mesh, by: DVec3) -> Mesh {

@@ -4,4 +4,3 @@ mod bad_input;
 mod bowl;
 mod build;
 mod common;
-mod vote;

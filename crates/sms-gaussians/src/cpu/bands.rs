@@ -89,7 +89,6 @@ pub(super) struct BandSums {
     pub(super) segmentation: f64,
 }
 
-/// One band.
 pub(super) struct Band {
     /// Splats that may touch the band, in the order of their Gaussians.
     pub(super) splats: Vec<Splat>,

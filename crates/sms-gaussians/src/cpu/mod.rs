@@ -30,8 +30,8 @@ mod unproject;
 
 use crate::parameters::{LOGIT_OPACITY, POSITION, Parameters, sigmoid};
 use crate::{
-    Classifier, FrameId, GaussianModel, LearningRates, LossTerms, RenderedMaps, Seedling, StepStats,
-    TrainConfig, TrainFrame, TrainState, Trainer, TrainerError,
+    FrameId, GaussianModel, LearningRates, LossTerms, RenderedMaps, Seedling, StepStats, TrainConfig,
+    TrainFrame, TrainState, Trainer, TrainerError,
 };
 use engine::Engine;
 use glamx::Vec3;
@@ -238,10 +238,6 @@ impl Trainer for CpuTrainer {
 
     fn positions_w(&self) -> Vec<Vec3> {
         self.parameters.rows.iter().map(|r| Vec3::from_slice(&r.0[POSITION..])).collect()
-    }
-
-    fn classifier(&self) -> Classifier {
-        self.parameters.classifier.classifier()
     }
 
     fn model(&self) -> GaussianModel {

@@ -12,7 +12,6 @@ const MAGIC: &[u8; 8] = b"SMSSCAN1";
 /// Hexadecimal digits of the checksum at the end.
 const CHECKSUM: usize = 32;
 
-/// Position in the schedule.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct SchedulePosition {
     /// Index in the list of trained frames. The length of the list means the refinement over all frames, and one more

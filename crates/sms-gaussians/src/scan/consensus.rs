@@ -98,7 +98,7 @@ mod tests {
         let frames: Vec<_> = sequence.frames.iter().zip(&labels.maps).collect();
         let mut trainer = CpuTrainer::new(&TrainConfig::default(), 3, Seed(1));
         // Affinities that the untrained classifier labels as the ball and as the background.
-        let classifier = trainer.classifier();
+        let classifier = trainer.model().classifier;
         let affinity = |label: u16| {
             let axes = (0..AFFINITY_DIM).flat_map(|k| [3.0f32, -3.0].map(|v| (k, v)));
             let mut candidates = axes.map(|(k, v)| std::array::from_fn(|j| if j == k { v } else { 0.0 }));

@@ -29,7 +29,6 @@ pub struct ViewScore {
     pub coverage: f64,
 }
 
-/// Scores one view.
 pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> ViewScore {
     // Errors are computed in parallel and summed in the pixels' order.
     let squared: Vec<f64> = maps

@@ -40,6 +40,6 @@ pub use evaluate::ViewScore;
 pub use losses::LossSample;
 pub use observer::{BatchDone, ScanObserver, SlotDone};
 pub use ply::{read_ply, write_ply};
-pub use schedule::{ScanResult, scan, scan_observed};
+pub use schedule::{ScanResult, scan};
 pub use stages::StageSeconds;
 pub use views::{ViewRender, render_views};

@@ -7,8 +7,8 @@ use super::schedule::{ScanResult, scan};
 use super::views::state_of_model;
 use super::{ScanError, render_views};
 use crate::{
-    Classifier, CpuTrainer, FrameId, GaussianModel, RenderedMaps, Seedling, StepStats, TrainFrame,
-    TrainState, Trainer, TrainerError,
+    CpuTrainer, FrameId, GaussianModel, RenderedMaps, Seedling, StepStats, TrainFrame, TrainState, Trainer,
+    TrainerError,
 };
 use glamx::Vec3;
 use sms_core::{Camera, Cancel, CoreError, Labels, Seed, StageContext, Warnings};
@@ -37,7 +37,15 @@ fn run(
     let cancel = Cancel::new();
     let inner = CpuTrainer::new(&config.train, labels.class_count(), SEED);
     let mut trainer = Disturbed { inner, disturb, calls: 0, cancel: cancel.clone() };
-    scan(sequence, labels, config, dir, &mut trainer, StageContext::quiet(&cancel, warnings).with_seed(SEED))
+    scan(
+        sequence,
+        labels,
+        config,
+        dir,
+        &mut trainer,
+        &mut (),
+        StageContext::quiet(&cancel, warnings).with_seed(SEED),
+    )
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -92,9 +100,6 @@ impl Trainer for Disturbed {
     }
     fn positions_w(&self) -> Vec<Vec3> {
         self.inner.positions_w()
-    }
-    fn classifier(&self) -> Classifier {
-        self.inner.classifier()
     }
     fn model(&self) -> GaussianModel {
         self.inner.model()

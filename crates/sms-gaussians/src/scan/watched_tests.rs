@@ -2,7 +2,7 @@
 
 use super::fixture::{SMALL, record};
 use super::observer::{BatchDone, ScanObserver, SlotDone};
-use super::schedule::{ScanResult, scan_observed};
+use super::schedule::{ScanResult, scan};
 use super::tests::{SEED, bytes, quick};
 use super::{ScanConfig, ScanError};
 use crate::CpuTrainer;
@@ -21,7 +21,7 @@ fn watched(
     warnings: &Warnings,
 ) -> Result<ScanResult, ScanError> {
     let mut trainer = CpuTrainer::new(&config.train, labels.class_count(), SEED);
-    scan_observed(
+    scan(
         sequence,
         labels,
         config,

@@ -148,7 +148,6 @@ impl TriangleSurface {
     }
 }
 
-/// An edge of a face.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
 struct FaceEdge {
     /// The ends, ascending.

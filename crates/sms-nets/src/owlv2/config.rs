@@ -120,13 +120,6 @@ impl Owlv2Config {
         }
         None
     }
-
-    /// The sizes of `google/owlv2-base-patch16-ensemble`.
-    pub fn base_patch16() -> Self {
-        let mut config = Self::default();
-        config.vision_config.image_size = 960;
-        config
-    }
 }
 
 impl Default for Owlv2Config {
@@ -179,7 +172,6 @@ mod tests {
     #[test]
     fn published_models_can_be_built() {
         assert_eq!(Owlv2Config::default().fault(), None);
-        assert_eq!(Owlv2Config::base_patch16().fault(), None);
         // `google/owlv2-large-patch14-ensemble`.
         let large = r#"{"projection_dim": 768, "text_config": {"hidden_size": 768, "intermediate_size": 3072, "num_attention_heads": 12},
             "vision_config": {"hidden_size": 1024, "intermediate_size": 4096, "num_hidden_layers": 24, "num_attention_heads": 16,

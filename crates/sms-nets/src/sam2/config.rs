@@ -108,6 +108,9 @@ pub struct DecoderConfig {
     pub dynamic_multimask_stability_thresh: f64,
 }
 
+/// Largest plausible size; published models are smaller.
+const LARGEST: usize = 1 << 16;
+
 impl Sam2Config {
     /// Returns the number of channels of the features.
     pub fn hidden(&self) -> usize {
@@ -128,12 +131,7 @@ impl Sam2Config {
     pub fn rope_theta(&self) -> f32 {
         self.rope_parameters.as_ref().map_or(self.memory_attention_rope_theta, |r| r.rope_theta)
     }
-}
 
-/// Largest plausible size; published models are smaller.
-const LARGEST: usize = 1 << 16;
-
-impl Sam2Config {
     /// Returns the first value that is impossible for any network, or `None`. Sizes that contradict the weights are
     /// detected when the weights are read.
     pub fn fault(&self) -> Option<String> {

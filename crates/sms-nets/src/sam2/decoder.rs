@@ -115,7 +115,6 @@ pub(crate) struct Decoded {
     pub(crate) object_score: f32,
 }
 
-/// The decoder.
 #[derive(Debug)]
 pub(crate) struct MaskDecoder {
     /// Object, quality and mask tokens, (2 + masks, c).

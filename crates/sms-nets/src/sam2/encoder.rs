@@ -9,7 +9,6 @@ use crate::weights::{Loaded, Weights};
 use candle_core::{D, Result, Tensor};
 use candle_nn::{LayerNorm, Module};
 
-/// One block of Hiera.
 #[derive(Debug)]
 struct HieraBlock {
     norm1: LayerNorm,
@@ -109,7 +108,6 @@ pub struct ImageFeatures {
     pub(crate) coarse: Tensor,
 }
 
-/// The encoder.
 #[derive(Debug)]
 pub(crate) struct Encoder {
     patch_weight: Tensor,

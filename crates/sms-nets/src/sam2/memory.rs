@@ -111,7 +111,6 @@ struct Fuser {
     kernel: usize,
 }
 
-/// The memory encoder.
 #[derive(Debug)]
 pub(crate) struct MemoryEncoder {
     halvings: Vec<Halving>,

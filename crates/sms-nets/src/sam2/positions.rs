@@ -1,6 +1,7 @@
 //! Position encodings: sines, random Fourier features, rotations.
 
-use candle_core::{CpuStorage, CustomOp3, Device, Error, Layout, Result, Shape, Tensor};
+use crate::kernels::{can_take, values};
+use candle_core::{CpuStorage, CustomOp3, Device, Layout, Result, Shape, Tensor};
 use candle_nn::rotary_emb::rope_i;
 use rayon::prelude::*;
 use std::f32::consts::TAU;
@@ -69,7 +70,7 @@ impl Rotary {
     /// unchanged.
     pub(crate) fn turn(&self, x: &Tensor, unturned: usize) -> Result<Tensor> {
         let (n, c) = x.dims2()?;
-        if crate::kernels::can_take(x) {
+        if can_take(x) {
             return x.contiguous()?.apply_op3_no_bwd(&self.cos, &self.sin, &Turn { unturned });
         }
         let (cells, turned) = (self.cos.dim(0)?, n - unturned);
@@ -101,15 +102,9 @@ impl CustomOp3 for Turn {
         s3: &CpuStorage,
         l3: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        let values = |s: &CpuStorage, l: &Layout| -> Result<Vec<f32>> {
-            let (start, end) = l
-                .contiguous_offsets()
-                .ok_or_else(|| Error::Msg("the rotation needs contiguous tensors".into()))?;
-            Ok(s.as_slice::<f32>()?[start..end].to_vec())
-        };
         let (n, c) = l1.shape().dims2()?;
         let cells = l2.dims()[0];
-        let (mut out, cos, sin) = (values(s1, l1)?, values(s2, l2)?, values(s3, l3)?);
+        let (mut out, cos, sin) = (values(s1, l1)?.to_vec(), values(s2, l2)?, values(s3, l3)?);
         let turned = n - self.unturned;
         out[..turned * c].par_chunks_mut(c).enumerate().for_each(|(token, x)| {
             let at = (token % cells) * (c / 2);

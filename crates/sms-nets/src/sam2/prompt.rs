@@ -5,7 +5,6 @@ use super::positions::fourier;
 use crate::weights::{Loaded, Weights};
 use candle_core::{Device, Result, Tensor};
 
-/// The prompt encoder.
 #[derive(Debug)]
 pub(crate) struct PromptEncoder {
     frequencies: Tensor,

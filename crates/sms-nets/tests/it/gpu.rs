@@ -53,7 +53,9 @@ fn owlv2_in_full_size_is_the_same_on_a_gpu() {
     let (_, device) = gpu().unwrap();
     let of = |device: &Device| {
         let mut observed = Observed::new();
-        let model = Owlv2::new(&Owlv2Config::base_patch16(), &random_weights(5, device)).unwrap();
+        let mut config = Owlv2Config::default();
+        config.vision_config.image_size = 960;
+        let model = Owlv2::new(&config, &random_weights(5, device)).unwrap();
         let ids = |i: u32| (0..16).map(|j| if j < 5 { 49_000 + 37 * i + j } else { 0 }).collect();
         let queries: Vec<Tokens> = (0..3).map(|i| Tokens { ids: ids(i), used: 5, is_cut: false }).collect();
         let text =

@@ -4,8 +4,8 @@
 use crate::support::{data, devices, made_up, requested};
 use glamx::{DPose3, DVec3};
 use sms_core::{
-    Camera, Cancel, ColorImage, CoreError, DepthImage, Image, Intrinsics, Labels, MaskSource, NormalImage,
-    StageContext, Warnings, write_png_color, write_png_gray16,
+    Camera, Cancel, ColorImage, DepthImage, Image, Intrinsics, Labels, MaskSource, NormalImage, StageContext,
+    Warnings, write_png_color, write_png_gray16,
 };
 use sms_frames::{Frame, LoadSettings, ReadOptions, Recording, Sequence, load};
 use sms_masks::{MasksError, Segmenter};
@@ -91,7 +91,7 @@ fn boxes_and_queries_become_labels_with_either_method_of_tracking() {
             let cancel = Cancel::new();
             cancel.cancel();
             let stopped = masks.segment(&sequence(3), StageContext::quiet(&cancel, &warnings)).unwrap_err();
-            assert!(matches!(stopped, MasksError::Core(CoreError::Interrupted)), "{stopped}");
+            assert!(matches!(stopped, MasksError::Interrupted), "{stopped}");
             // Other devices give the same objects and the same pixels, except for nearly equal logits.
             if let Some(first) = &first {
                 assert_eq!(labels.objects, first.objects, "{track:?} on {name}");

@@ -161,7 +161,7 @@ impl Segmenter for ShownSegmenter<'_> {
         let boxes = boxes_of(&found);
         atomic::write_json(&dir.join(FOUND), &boxes)?;
         show_found(self.context, run, sequence, &boxes).map_err(|error| match error {
-            Error::Core(core) => MasksError::from(core),
+            Error::Core(core) => core,
             Error::Input(input) => input.into(),
             other => MasksError::Input(sms_core::InputError::new(other.to_string(), run, "")),
         })?;
@@ -254,7 +254,7 @@ pub fn list_models() -> Result<Vec<ModelEntry>, Error> {
 /// Fetches networks into the Hugging Face cache, by default the two that masks need; returns names and folders.
 ///
 /// # Errors
-/// [`Error::Masks`] for unknown names and failed downloads.
+/// [`Error::Core`] for unknown names and failed downloads.
 pub fn fetch_models(names: &[String], context: &Context) -> Result<Vec<(String, PathBuf)>, Error> {
     let hub = HubConfig::from_environment();
     let names: Vec<&str> =

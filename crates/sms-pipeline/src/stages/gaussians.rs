@@ -3,7 +3,7 @@
 use crate::Error;
 use sms_core::{Labels, StageContext, process};
 use sms_frames::Sequence;
-use sms_gaussians::{ScanConfig, ScanObserver, ScanResult, Trainer, scan_observed};
+use sms_gaussians::{ScanConfig, ScanObserver, ScanResult, Trainer, scan};
 use std::path::Path;
 
 /// Settings and folder of a training.
@@ -18,7 +18,7 @@ pub struct GaussiansRequest<'a> {
 /// Trains the Gaussians on the frames that are not held out. The metrics of the result include time and memory.
 ///
 /// # Errors
-/// As [`scan_observed`].
+/// As [`scan`].
 pub fn gaussians(
     sequence: &Sequence,
     labels: &Labels,
@@ -28,7 +28,7 @@ pub fn gaussians(
     context: StageContext<'_>,
 ) -> Result<ScanResult, Error> {
     let GaussiansRequest { config, work_dir } = *request;
-    let mut result = scan_observed(sequence, labels, config, work_dir, trainer, observer, context)?;
+    let mut result = scan(sequence, labels, config, work_dir, trainer, observer, context)?;
     result.metrics.set("scan.seconds", result.seconds);
     if let Some(bytes) = process::peak_bytes() {
         result.metrics.set("scan.peak_bytes", bytes);

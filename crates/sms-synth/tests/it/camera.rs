@@ -4,9 +4,13 @@ use glamx::DVec3;
 use rand::RngExt;
 use sms_core::{Camera, Seed};
 use sms_synth::{
-    AssetKind, BilliardsSettings, CameraModel, CameraPath, DepthCamera, RecordingSettings, Renderer,
-    TruthScene, generate_billiards, render,
+    AssetKind, BilliardsSettings, CameraModel, CameraPath, DepthCamera, RecordingSettings, RenderedFrame,
+    Renderer, TruthScene, generate_billiards,
 };
+
+fn render(scene: &TruthScene, camera: &Camera, model: &CameraModel) -> RenderedFrame {
+    Renderer::new(scene).render(camera, model)
+}
 
 fn perfect() -> CameraModel {
     CameraModel { depth: DepthCamera::perfect(), color_sigma: 0.0, ..CameraModel::default() }
