@@ -179,7 +179,7 @@ pub struct KnownObject {
 }
 
 #[derive(Deserialize)]
-struct ObjectsFile {
+struct KnownObjectsFile {
     objects: Vec<ObjectEntry>,
 }
 
@@ -197,7 +197,7 @@ struct ObjectEntry {
 /// # Errors
 /// [`InputError`] naming the file when something is missing or not rigid.
 pub fn read_known_objects(path: &Path) -> Result<Vec<KnownObject>, EvaluateError> {
-    let file: ObjectsFile = atomic::read_json(path)?;
+    let file: KnownObjectsFile = atomic::read_json(path)?;
     let folder = path.parent().unwrap_or(Path::new("."));
     let mut known = Vec::new();
     for object in file.objects {

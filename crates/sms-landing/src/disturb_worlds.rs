@@ -31,7 +31,7 @@ struct WorldCopies {
 }
 
 /// Perturbed worlds with one wash model.
-pub(crate) struct PerturbedWorlds<'a> {
+pub(crate) struct PerturbedLandings<'a> {
     landing: &'a ResolvedLanding,
     factory: &'a dyn WorldFactory,
     wash: WashSettings,
@@ -42,7 +42,7 @@ pub(crate) struct PerturbedWorlds<'a> {
     done: AtomicU64,
 }
 
-impl<'a> PerturbedWorlds<'a> {
+impl<'a> PerturbedLandings<'a> {
     pub(crate) fn new(
         landing: &'a ResolvedLanding,
         factory: &'a dyn WorldFactory,

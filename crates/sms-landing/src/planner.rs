@@ -1,7 +1,7 @@
 //! The planner: screens many approaches with `jet`, refines the promising ones with `sph`, and chooses in perturbed
 //! worlds.
 
-use crate::disturb_worlds::{Flown, PerturbedWorlds};
+use crate::disturb_worlds::{Flown, PerturbedLandings};
 use crate::hard::{Hardness, PerturbedWorld, spread};
 use crate::plan::{LandingAlternative, LandingEvaluations};
 use crate::{
@@ -101,7 +101,7 @@ pub fn plan_landing(
     }
     let scene = &scene;
     let family = |model: WashModel, worlds: Vec<PerturbedWorld>| {
-        PerturbedWorlds::new(landing, factory, settings, wash(settings, model), worlds, progress, cancel)
+        PerturbedLandings::new(landing, factory, settings, wash(settings, model), worlds, progress, cancel)
     };
     let scanned = || vec![PerturbedWorld::exactly(scene.clone())];
     let mut planning = LandingSearch {
@@ -215,7 +215,7 @@ impl Candidate {
 
 impl LandingSearch<'_> {
     /// Flies the points of a low-discrepancy sequence in the scanned world. Returns them best first.
-    fn screen(&mut self, jet: &PerturbedWorlds<'_>) -> Result<Vec<Candidate>, LandingError> {
+    fn screen(&mut self, jet: &PerturbedLandings<'_>) -> Result<Vec<Candidate>, LandingError> {
         let halton = Halton::new(4, self.seed.derive("screening"));
         let wanted = self.settings.screening;
         let points: Vec<Vec<f64>> = (0..wanted as u64 * MOST_DRAWS)
@@ -246,7 +246,11 @@ impl LandingSearch<'_> {
     /// Flies the successful candidates in the hardest world of the margins (the last), and those that fail there in the
     /// next easier one, and so on. Stops as soon as the candidates of the next phase are known: equals keep the order
     /// in which they are flown. Sorts best first.
-    fn margins(&mut self, found: &mut [Candidate], worlds: &PerturbedWorlds<'_>) -> Result<(), LandingError> {
+    fn margins(
+        &mut self,
+        found: &mut [Candidate],
+        worlds: &PerturbedLandings<'_>,
+    ) -> Result<(), LandingError> {
         let wanted = self.settings.candidates.max(self.settings.refine);
         let mut left: Vec<usize> = (0..found.len()).filter(|i| found[*i].rank.failures == 0).collect();
         for level in (0..worlds.len()).rev() {
@@ -275,7 +279,11 @@ impl LandingSearch<'_> {
     }
 
     /// Flies all candidates in the scanned world and sorts them best first.
-    fn in_nominal(&mut self, found: &mut [Candidate], sph: &PerturbedWorlds<'_>) -> Result<(), LandingError> {
+    fn in_nominal(
+        &mut self,
+        found: &mut [Candidate],
+        sph: &PerturbedLandings<'_>,
+    ) -> Result<(), LandingError> {
         let jobs: Vec<_> = found.iter().map(|c| (c.action, 0)).collect();
         let flown = self.count(sph.fly_all(&jobs)?, WashModel::Sph);
         for (i, (candidate, flown)) in found.iter_mut().zip(&flown).enumerate() {
@@ -287,7 +295,7 @@ impl LandingSearch<'_> {
     }
 
     /// Runs local searches from the best candidates in parallel. A better point replaces its candidate.
-    fn polish(&mut self, found: &mut [Candidate], sph: &PerturbedWorlds<'_>) -> Result<(), LandingError> {
+    fn polish(&mut self, found: &mut [Candidate], sph: &PerturbedLandings<'_>) -> Result<(), LandingError> {
         let count = self.settings.polish_starts.min(found.len());
         let steps = [STEP; 4];
         let simplex = NelderMead::default();
@@ -345,7 +353,7 @@ impl LandingSearch<'_> {
     fn in_worlds(
         &mut self,
         found: &mut [Candidate],
-        worlds: &PerturbedWorlds<'_>,
+        worlds: &PerturbedLandings<'_>,
         phase: TrialPhase,
     ) -> Result<(), LandingError> {
         let n = worlds.len();

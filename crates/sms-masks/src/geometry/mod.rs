@@ -109,7 +109,7 @@ impl Clustered {
                 labels_of[i] = index as u16 + 1;
             }
         }
-        Ok(project::label_frames(sequence, &self.surfels, &labels_of, config, cancel)?)
+        project::label_frames(sequence, &self.surfels, &labels_of, config, cancel)
     }
 }
 
