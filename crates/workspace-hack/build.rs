@@ -1,0 +1,3 @@
+//! Exists so that Cargo selects features of build dependencies too.
+
+fn main() {}
