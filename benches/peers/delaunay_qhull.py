@@ -25,7 +25,7 @@ SAMPLED = 400
 
 
 def ours(first, out):
-    command = ["cargo", "run", "--release", "-q", "-p", "sms-mesh", "--example", "delaunay_time", "--", str(first)]
+    command = ["cargo", "bench", "-q", "-p", "sms-mesh", "--bench", "delaunay_time", "--", str(first)]
     done = subprocess.run([*command, str(out)], cwd=ROOT, check=True, capture_output=True, text=True)
     points = np.fromfile(f"{out}.f64", "<f8").reshape(-1, 3)
     tetrahedra = np.fromfile(f"{out}.u32", "<u4").reshape(-1, 4).astype(np.int64)

@@ -1,6 +1,6 @@
 """Times gsplat's training step on the fixed wall of our GPU benchmark, on a CUDA device.
 
-    cargo run --release -p sms-gaussians-gpu --example step_times -- 50000 640 400 --export DIR
+    cargo bench -p sms-gaussians-gpu --bench step_times -- 50000 640 400 --export DIR
     python gsplat_wall.py DIR [--repeats 50]
 
 A step is forward and backward of L1 on 22 channels (colour 3, normal 3, affinity 16) and depth, and fused Adam. Our

@@ -1,7 +1,6 @@
 """OWLv2's image tower and SAM 2.1 tiny's image encoder, full size with random weights: ours and PyTorch's.
 
-    cargo build --release -p sms-nets --example speed
-    python benches/peers/nets.py [--repeats 3] [--ours target/release/examples/speed]
+    python benches/peers/nets.py [--repeats 3]
 
 Needs torch and transformers==5.23.0. Each runs in its own process with two threads; weights do not affect time. The best
 of the repeats counts. On a busy machine compare CPU seconds, which are of the repeats and of all threads.
@@ -17,10 +16,11 @@ from pathlib import Path
 
 import measure
 
-ROOT = Path(__file__).resolve().parent.parent.parent
 THREADS = 2
 ENV = {"OMP_NUM_THREADS": str(THREADS), "OMP_WAIT_POLICY": "passive", "RAYON_NUM_THREADS": str(THREADS)}
 WHAT = ("owlv2", "encoder")
+MANIFEST = Path(__file__).resolve().parents[2] / "Cargo.toml"
+OURS = ["cargo", "bench", "-q", "--manifest-path", str(MANIFEST), "-p", "sms-nets", "--bench", "speed", "--"]
 
 
 def run_torch(what: str, repeats: int) -> None:
@@ -55,7 +55,6 @@ def run_torch(what: str, repeats: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--ours", type=Path, default=ROOT / "target/release/examples/speed")
     parser.add_argument("--timeout", type=float, default=600.0)
     parser.add_argument("--peer", choices=WHAT, help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -64,7 +63,7 @@ def main() -> None:
         return
     print("| network | ours s | PyTorch s | ratio | ours CPU s | PyTorch CPU s | ratio |\n|---|--:|--:|--:|--:|--:|--:|")
     for what in WHAT:
-        ours = measure.run([str(args.ours), what, str(args.repeats)], args.timeout, ENV)
+        ours = measure.run([*OURS, what, str(args.repeats)], args.timeout, ENV)
         peer = measure.run([sys.executable, __file__, "--peer", what, "--repeats", str(args.repeats)], args.timeout, ENV)
         if ours.code or peer.code:
             print(f"| {what} | {ours.why() if ours.code else peer.why()} |")

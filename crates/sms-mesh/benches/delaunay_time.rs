@@ -1,6 +1,6 @@
 //! Times the tetrahedralisation of points and prints the outcome as one line of JSON.
 //!
-//! `cargo run --release -p sms-mesh --example delaunay_time -- 20000 [OUT]` uses random points near a sphere, like
+//! `cargo bench -p sms-mesh --bench delaunay_time -- 20000 [OUT]` uses random points near a sphere, like
 //! those of scans; `… -- IN.f64 [OUT]` reads raw little-endian f64, x y z. With OUT, the points are written to
 //! `OUT.f64` and the tetrahedra to `OUT.u32` (raw little-endian u32, four point indices each).
 
@@ -27,7 +27,8 @@ fn read_points(path: &str) -> io::Result<Vec<DVec3>> {
 }
 
 fn main() -> io::Result<()> {
-    let first = std::env::args().nth(1).unwrap_or_else(|| "20000".into());
+    let mut args = std::env::args().skip(1).filter(|a| a != "--bench");
+    let first = args.next().unwrap_or_else(|| "20000".into());
     let points = match first.parse() {
         Ok(n) => random_points(n),
         Err(_) => read_points(&first)?,
@@ -39,7 +40,7 @@ fn main() -> io::Result<()> {
         mesh = sms_mesh::tetra::delaunay(&points);
         seconds = seconds.min(began.elapsed().as_secs_f64());
     }
-    if let Some(out) = std::env::args().nth(2) {
+    if let Some(out) = args.next() {
         let raw: Vec<u8> = points.iter().flat_map(|p| p.to_array()).flat_map(f64::to_le_bytes).collect();
         std::fs::write(format!("{out}.f64"), raw)?;
         let raw: Vec<u8> = mesh.tetrahedra.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();

@@ -19,7 +19,7 @@ fn cpu_s() -> f64 {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut args = std::env::args().skip(1);
+    let mut args = std::env::args().skip(1).filter(|a| a != "--bench");
     let engines = args.next().unwrap_or_else(|| "physx".to_owned());
     let scenes = args.next().unwrap_or_else(|| (1..=18).map(|n| n.to_string()).collect::<Vec<_>>().join(","));
     let shots: usize = args.next().map_or(Ok(1), |s| s.parse())?;

@@ -1,7 +1,7 @@
 //! Computes the force of a hovering quadrotor on a plate with all models, the width of the free jet, and the cost, for
 //! given settings of the particle model: the figures of experiments/studies/wash.md.
 //!
-//! `cargo run --release -p sms-wash --example wash_study -- key=value …` takes settings of `SphSettings` as in TOML,
+//! `cargo bench -p sms-wash --bench wash_study -- key=value …` takes settings of `SphSettings` as in TOML,
 //! and `half` (half edge of the plate, metres), `height` (of the propellers above it), `offset` (of the vehicle along
 //! x), `propellers`, `seconds`.
 
@@ -18,7 +18,7 @@ const WEIGHT: f64 = 1.182 * 9.81;
 fn main() -> Result<(), Box<dyn Error>> {
     let mut table = toml::Table::try_from(SphSettings::default())?;
     let (mut half, mut height, mut offset, mut seconds, mut propellers) = (0.2, 0.35, 0.0, 1.0, 4usize);
-    for argument in std::env::args().skip(1) {
+    for argument in std::env::args().skip(1).filter(|a| a != "--bench") {
         let (key, value) = argument.split_once('=').ok_or("arguments are key=value")?;
         match key {
             "half" => half = value.parse()?,

@@ -48,7 +48,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut settings = LoadSettings::default();
     let mut config = serde_json::to_value(PosesConfig { mode: PosesMode::Auto, ..PosesConfig::default() })?;
     let mut recordings = Vec::new();
-    for argument in std::env::args().skip(1) {
+    for argument in std::env::args().skip(1).filter(|a| a != "--bench") {
         match argument.split_once('=') {
             Some(("mm", v)) => mm = v.parse()?,
             Some(("deg", v)) => deg = v.parse()?,

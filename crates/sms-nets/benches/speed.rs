@@ -27,7 +27,7 @@ fn peak_bytes() -> u64 {
 }
 
 fn main() -> Result<(), NetsError> {
-    let mut args: Vec<String> = std::env::args().skip(1).collect();
+    let mut args: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
     let on = args.iter().position(|a| a == "--device").map_or("cpu".to_owned(), |at| {
         let on = args.get(at + 1).cloned().unwrap_or_default();
         args.drain(at..args.len().min(at + 2));

@@ -21,7 +21,7 @@ const STEPS: usize = 50;
 const BATCHES: usize = 9;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
     let option = |name: &str| {
         let at = arguments.iter().position(|a| a == name)?;
         arguments.get(at + 1).map(String::as_str)
