@@ -183,8 +183,10 @@ fn one_submission_of_many_steps_is_many_submissions_of_one() {
     let Some(mut many) = gpu(&TrainConfig::default(), FAST) else {
         return;
     };
-    fill(&mut one, SIZE, COUNT);
-    fill(&mut many, SIZE, COUNT);
+    // More steps than one submission holds.
+    let (size, count) = ((31, 19), 40);
+    fill(&mut one, size, count);
+    fill(&mut many, size, count);
     let frames: Vec<usize> = (0..70).map(|i| i % 2).collect();
     let stats = one.steps(&frames);
     let total: f64 = frames.iter().map(|&f| f64::from(many.steps(&[f]).loss.total)).sum();

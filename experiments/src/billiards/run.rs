@@ -256,7 +256,8 @@ pub(super) mod tests {
         bench.engines = vec![TargetEngine::Rapier];
         bench.starts = 2;
         bench.paper.nelder_mead.max_iterations = 4;
-        bench.ours = PlanConfig { robust_evaluations: 24, candidates: 2, finalists: 1, ..bench.ours };
+        bench.ours =
+            PlanConfig { robust_evaluations: 24, restarts: 0, candidates: 2, finalists: 1, ..bench.ours };
         bench.ours.perturbation.worlds = 1;
         bench.robust = bench.ours.clone();
         bench

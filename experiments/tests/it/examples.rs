@@ -16,7 +16,10 @@ fn planned(file: &str, evaluations: usize) -> (Plan, ResolvedTask, Scene) {
     let task = Task::read(&path).unwrap().resolve(&scene).unwrap();
     let config = PlanConfig {
         starts: 4,
-        evaluations,
+        robust_evaluations: evaluations,
+        restarts: 0,
+        scan: evaluations,
+        descents: 4,
         candidates: 4,
         finalists: 2,
         polish_starts: 0,

@@ -23,6 +23,8 @@ fn where_nothing_can_be_landed_on_the_reason_stands_in_the_report_and_no_plan_is
         "1",
         "--set",
         "plan.evaluations=20",
+        "--set",
+        "plan.anew=0",
     ]);
     assert!(dir.path().join("run/plan").is_dir());
 

@@ -1,8 +1,9 @@
 //! Stages that edits of `masks/labels.json` repeat, and the output of `sms masks --preview`.
 
-use crate::common::{copy_materialized_run, done, recording, sms};
+use crate::common::{copy_materialized_run, done, recording, said, sms};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::process::Output;
 
 fn edit(path: &Path, from: &str, to: &str) {
     let text = fs::read_to_string(path).unwrap();
@@ -10,40 +11,63 @@ fn edit(path: &Path, from: &str, to: &str) {
     fs::write(path, text.replacen(from, to, 1)).unwrap();
 }
 
+/// A materialized run whose `labels.json` a test edits. A stage that is made again replaces its folder, and with it the
+/// mark in the folder of the Gaussians.
+struct Edited {
+    dir: tempfile::TempDir,
+}
+
+impl Edited {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        copy_materialized_run(&dir.path().join("run"));
+        let edited = Self { dir };
+        assert!(edited.path("entities/object_01").is_dir() && edited.path("entities/object_02").is_dir());
+        fs::write(edited.path("gaussians/mark"), "").unwrap();
+        edited
+    }
+
+    fn path(&self, of: &str) -> PathBuf {
+        self.dir.path().join("run").join(of)
+    }
+
+    fn scan(&self) {
+        let (recording, run) = (recording().to_str().unwrap(), self.dir.path().join("run"));
+        let paths = ["scan", recording, "--out", run.to_str().unwrap()];
+        done(&[&paths[..], &["--preset", "draft", "--set", "scan.final_steps=2"]].concat());
+    }
+
+    fn materialize(&self) -> Output {
+        let run = self.dir.path().join("run");
+        let coarse = ["--set", "entities.point_budget=2000", "--set", "entities.texture.enabled=false"];
+        sms(&[&["materialize", run.to_str().unwrap()], &coarse[..]].concat())
+    }
+}
+
 #[test]
-fn other_names_leave_the_gaussians_and_merged_objects_do_not() {
-    let dir = tempfile::tempdir().unwrap();
-    let run = dir.path().join("run");
-    let scan = || {
-        let paths = ["scan", recording().to_str().unwrap(), "--out", run.to_str().unwrap()];
-        done(&[&paths[..], &["--preset", "draft", "--set", "scan.final_steps=2"]].concat())
-    };
-    copy_materialized_run(&run);
-    let labels = run.join("masks/labels.json");
-    let (name, entities) = ("\"name\": \"object_02\"", run.join("entities"));
-    assert!(entities.join("object_02").is_dir());
-    // A stage that is made again replaces its folder, and this with it.
-    let mark = run.join("gaussians/mark");
-    fs::write(&mark, "").unwrap();
-
-    edit(&labels, name, "\"name\": \"tin\"");
-    scan();
-    assert!(mark.is_file(), "the Gaussians were made again");
-    done(&["materialize", run.to_str().unwrap()]);
-    assert!(entities.join("tin").is_dir() && !entities.join("object_02").exists());
-    let scene = fs::read_to_string(run.join("scene/scene.json")).unwrap();
+fn other_names_leave_the_gaussians() {
+    let run = Edited::new();
+    edit(&run.path("masks/labels.json"), "\"name\": \"object_02\"", "\"name\": \"tin\"");
+    run.scan();
+    assert!(run.path("gaussians/mark").is_file(), "the Gaussians were made again");
+    assert!(run.materialize().status.success());
+    assert!(run.path("entities/tin").is_dir() && !run.path("entities/object_02").exists());
+    let scene = fs::read_to_string(run.path("scene/scene.json")).unwrap();
     assert!(scene.contains("\"tin\"") && !scene.contains("object_02"));
+}
 
-    // Objects that the Gaussians were not trained with are not made of them.
-    edit(&labels, "\"merge_into\": null", "\"merge_into\": \"tin\"");
-    let refused = sms(&["materialize", run.to_str().unwrap()]);
-    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+#[test]
+fn merged_objects_need_other_gaussians() {
+    let run = Edited::new();
+    edit(&run.path("masks/labels.json"), "\"merge_into\": null", "\"merge_into\": \"object_02\"");
+    let refused = run.materialize();
+    let message = said(&refused);
     assert_eq!(refused.status.code(), Some(2), "{message}");
     assert!(message.contains("labels.json") && message.contains("scan again"), "{message}");
-    scan();
-    assert!(!mark.is_file(), "the Gaussians know of the merge");
-    done(&["materialize", run.to_str().unwrap()]);
-    assert!(entities.join("tin").is_dir() && !entities.join("object_01").exists());
+    run.scan();
+    assert!(!run.path("gaussians/mark").is_file(), "the Gaussians know of the merge");
+    assert!(run.materialize().status.success());
+    assert!(run.path("entities/object_02").is_dir() && !run.path("entities/object_01").exists());
 }
 
 /// Manual boxes need no detector and thus no weights: the test covers the time and content of the drawing.

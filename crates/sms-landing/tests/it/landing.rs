@@ -355,7 +355,7 @@ fn held_by_a_brick(board_kg: f64, brick_kg: f64, known_within: impl Fn(&str) -> 
 /// The estimated brick is too heavy and the estimated board too light, so that almost any landing succeeds in the
 /// estimated world.
 #[test]
-#[ignore = "long: plans twice in many worlds"]
+#[ignore = "long: plans in many worlds"]
 fn long_a_structure_that_is_told_to_be_firmer_than_it_is_stands_all_the_same() {
     let [told, truth] = [(1.0, 2.4), (2.0, 1.0)].map(|(board, brick)| held_by_a_brick(board, brick, |_| 3.0));
     let landing = LandingTask::new([1.6, 0.3]).resolve(&told).unwrap();
@@ -373,31 +373,29 @@ fn long_a_structure_that_is_told_to_be_firmer_than_it_is_stands_all_the_same() {
         let air = wash(WashModel::Jet);
         rollout_landing(&RapierFactory, &air, scene, &landing, action, &options).unwrap().is_success()
     };
-    for seed in [1, 2] {
-        let warnings = Warnings::new();
-        let (quiet, cancel) = (NoProgress, Cancel::new());
-        let planned = plan_landing(
-            &landing,
-            &told,
-            &RapierFactory,
-            &settings,
-            StageContext::new(&quiet, &cancel, &warnings).with_seed(Seed(seed)),
-        )
-        .unwrap();
-        let screened = planned.trials.iter().filter(|t| t.phase == sms_plan::TrialPhase::Screen);
-        let good: Vec<LandingAction> = screened
-            .filter(|t| t.objective < 1.0)
-            .map(|t| LandingAction::from_values(&t.action).unwrap())
-            .collect();
-        let also = good.iter().filter(|a| lands(&truth, a)).count();
-        println!("{also} of {} landings of the estimated world succeed in the true one", good.len());
-        assert!(
-            good.len() > 20 && 3 * also < 2 * good.len(),
-            "the test does not discriminate: {also} of {}",
-            good.len()
-        );
-        assert!(lands(&truth, &planned.plan.action), "{:?}", planned.plan.action);
-    }
+    let warnings = Warnings::new();
+    let (quiet, cancel) = (NoProgress, Cancel::new());
+    let planned = plan_landing(
+        &landing,
+        &told,
+        &RapierFactory,
+        &settings,
+        StageContext::new(&quiet, &cancel, &warnings).with_seed(Seed(1)),
+    )
+    .unwrap();
+    let screened = planned.trials.iter().filter(|t| t.phase == sms_plan::TrialPhase::Screen);
+    let good: Vec<LandingAction> = screened
+        .filter(|t| t.objective < 1.0)
+        .map(|t| LandingAction::from_values(&t.action).unwrap())
+        .collect();
+    let also = good.iter().filter(|a| lands(&truth, a)).count();
+    println!("{also} of {} landings of the estimated world succeed in the true one", good.len());
+    assert!(
+        good.len() > 20 && 3 * also < 2 * good.len(),
+        "the test does not discriminate: {also} of {}",
+        good.len()
+    );
+    assert!(lands(&truth, &planned.plan.action), "{:?}", planned.plan.action);
 }
 
 /// The estimated brick is too light to hold the overhanging board. Its interval allows a heavier brick, and the board

@@ -47,8 +47,9 @@ fn task(scene: &Scene, x: f64) -> ResolvedTask {
 fn run(task: &ResolvedTask, scene: &Scene, threads: usize) -> Result<PlanOutcome, PlanError> {
     let config = PlanConfig {
         starts: 4,
-        evaluations: 80,
+        robust_evaluations: 200,
         scan: 100,
+        descents: 4,
         candidates: 4,
         finalists: 2,
         polish_starts: 1,
@@ -89,7 +90,7 @@ fn refused_strikes_are_counted_and_never_chosen() {
     let screened: Vec<_> = outcome.trials.iter().filter(|t| t.phase == TrialPhase::Screen).collect();
     let scanned: Vec<_> =
         outcome.trials.iter().filter(|t| t.phase == TrialPhase::Perturbed && t.start == -1).collect();
-    assert_eq!((screened.len(), scanned.len()), (120, 100), "30 % of 400, and the scan");
+    assert_eq!((screened.len(), scanned.len()), (60, 100), "30 % of 200, and the scan");
     for t in screened.iter().chain(&scanned) {
         assert!(task.striker(&task.strike(&t.action)).is_ok(), "{:?}", t.action);
     }
@@ -105,7 +106,7 @@ fn refused_strikes_are_counted_and_never_chosen() {
     assert_eq!(p.searched, in_search.count() + scanned.len() + passed_over);
     let drawn = screened.len() + scanned.len() + passed_over;
     println!("{passed_over} of {drawn} draws passed over, {met} of them in nominal searches");
-    assert!(passed_over > 0 && drawn <= 8 * 400, "{passed_over} of {drawn}");
+    assert!(passed_over > 0 && drawn <= 8 * 200, "{passed_over} of {drawn}");
     let strike = task.strike(&p.action);
     assert!(matches!(task.striker(&strike), Ok(Striker::Arm(_))));
     assert!(p.objective < 0.03, "{}", p.objective);

@@ -1,6 +1,7 @@
 //! The target engines in the closed-form suite. Run with `--nocapture` for the figures.
 #![cfg(any(feature = "physx", feature = "mujoco"))]
 
+use rayon::prelude::*;
 use sms_eval::closed_form::probes;
 use sms_target::TargetEngine;
 
@@ -29,9 +30,8 @@ fn known_misses(engine: TargetEngine) -> &'static [(&'static str, f64)] {
 fn measure(engine: TargetEngine) {
     let factory = engine.factory().unwrap();
     let mut missed = Vec::new();
-    for probe in probes() {
-        let measured = probe.measure(&*factory).unwrap();
-        let figure = probe.figure(&measured);
+    let figures = probes().par_iter().map(|probe| probe.figure(&probe.measure(&*factory).unwrap()));
+    for (probe, figure) in probes().iter().zip(figures.collect::<Vec<_>>()) {
         let allowed = known_misses(engine).iter().find(|m| m.0 == probe.name).map_or(probe.limit, |m| m.1);
         println!("{:>17} {:>22}: {figure:.6} of {}", factory.engine(), probe.name, probe.limit);
         if figure > allowed {
