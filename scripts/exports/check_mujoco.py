@@ -4,7 +4,8 @@
 usage: check_mujoco.py DIR [--drift-mm 1] [--turn-deg 0.5]
 
 One JSON object on standard output: bodies, the worst drift and turn with their bodies, the largest relative error of
-masses and principal inertias, `passed`. Exit code 0 if it passed, 1 if not, 3 if MuJoCo is missing.
+masses and principal inertias (infinite for a body that is missing or invisible), `passed`. Exit code 0 if it passed, 1 if
+not, 3 if MuJoCo is missing.
 """
 
 import sys
@@ -28,6 +29,10 @@ def main():
         i = index[body["name"]]
         errors += common.mass_errors(body, model.body_mass[i], model.body_inertia[i])
     if any(i < 0 for i in index.values()) or model.nbody != len(scene["bodies"]) + 1:
+        errors.append(float("inf"))
+    # The viewer shows the groups 0 to 2.
+    seen = {int(model.geom_bodyid[g]) for g in range(model.ngeom) if model.geom_group[g] <= 2}
+    if not set(index.values()) <= seen or model.nlight == 0:
         errors.append(float("inf"))
 
     def poses():

@@ -27,6 +27,7 @@ mod example;
 mod folder;
 mod gltf;
 mod mjcf;
+mod mjcf_view;
 mod obj;
 mod readme;
 mod sdf;

@@ -8,6 +8,7 @@
 //! restitution; the damping ratio of an underdamped contact is chosen to reproduce it.
 
 use crate::contact::{damping_ratio, with_ground};
+use crate::mjcf_view::{FLOOR_GRID, floor_material, statistic};
 use crate::text::{number, numbers, principal, rgba, small};
 use glamx::{DQuat, DVec3};
 use sms_core::{CoreError, Mesh, atomic, escape_xml};
@@ -51,6 +52,7 @@ pub fn mjcf_text(scene: &Scene) -> String {
         time_step = TIME_STEP,
         name = escape_xml(&scene.name),
         gravity = numbers(scene.gravity_w.to_array()),
+        statistic = statistic(scene),
         assets = file.assets,
         world = file.world,
     )
@@ -108,6 +110,9 @@ impl File<'_> {
 
     fn visual(&mut self, body: &Body) {
         if body.visual.triangles.is_empty() {
+            if body.shape == BodyShape::HalfSpace {
+                self.floor(body);
+            }
             return;
         }
         let (name, file) = (&body.name, visual_file(body));
@@ -124,6 +129,16 @@ impl File<'_> {
         };
         self.line(&format!(
             "  <geom name=\"{name}_visual\" class=\"visual\" type=\"mesh\" mesh=\"{name}_visual\" {look}/>"
+        ));
+    }
+
+    /// Draws a half space as a plane: viewers hide the group of its slab.
+    fn floor(&mut self, body: &Body) {
+        let (name, edge) = (&body.name, ground_half_edge(self.scene));
+        let size = numbers([edge, edge, FLOOR_GRID]);
+        self.assets.push_str(&floor_material(name, body.color));
+        self.line(&format!(
+            "  <geom name=\"{name}_visual\" class=\"visual\" type=\"plane\" size=\"{size}\" material=\"{name}_look\"/>"
         ));
     }
 
@@ -220,6 +235,23 @@ mod tests {
         assert_eq!(text.matches("<freejoint").count(), 5);
         assert!(text.contains("model=\"every &lt;shape&gt;\""));
         assert!(text.contains("file=\"meshes/wedge.1-a_visual.png\""));
+    }
+
+    /// Viewers show the groups 0 to 2 at first.
+    #[test]
+    fn every_body_can_be_seen_on_a_lit_floor() {
+        let scene = scene();
+        let text = mjcf_text(&scene);
+        for body in &scene.bodies {
+            let own = text.split(&format!("<body name=\"{}\"", body.name)).nth(1).unwrap();
+            let own = own.split("</body>").next().unwrap();
+            assert!(own.contains("class=\"visual\""), "{}: {own}", body.name);
+        }
+        let floor = text.lines().find(|l| l.contains("name=\"floor_visual\"")).unwrap();
+        let material = floor.split("material=\"").nth(1).unwrap().split('"').next().unwrap();
+        assert!(text.contains(&format!("<material name=\"{material}\" texture=")), "{floor}");
+        assert!(floor.contains("type=\"plane\" size=\"3 3 "), "as large as the slab: {floor}");
+        assert!(text.contains("<light ") && text.contains("type=\"skybox\""));
     }
 
     #[test]
