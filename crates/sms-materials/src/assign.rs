@@ -1,6 +1,7 @@
 //! Assignment of materials to objects.
 
 use crate::table::{CavityKind, KnownObjectMaterial, fill_of_another};
+use crate::unusual::warn_unusual;
 use crate::{Estimate, MaterialTable, Overrides};
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, Interval, Material, Property, PropertySource, Warnings};
@@ -47,7 +48,7 @@ pub fn assign(
         overrides.check(objects, table)?;
     }
     let mut guessed = Vec::new();
-    let materials = objects
+    let materials: Vec<Material> = objects
         .iter()
         .map(|object| {
             let base = without_override(object, table);
@@ -70,6 +71,7 @@ pub fn assign(
              or name a vision-language model ([vlm])",
         );
     }
+    warn_unusual(objects, &materials, table, warnings);
     Ok(materials)
 }
 

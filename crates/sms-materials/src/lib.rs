@@ -23,8 +23,10 @@ mod assign;
 mod estimate;
 mod overrides;
 mod table;
+mod unusual;
 
 pub use assign::{ObjectQuery, assign, without_override};
 pub use estimate::Estimate;
 pub use overrides::{ObjectOverride, OverrideInterval, OverrideValue, Overrides};
 pub use table::{ClassEntry, MaterialTable, Range};
+pub use unusual::MATERIAL_UNUSUAL;

@@ -328,10 +328,20 @@ fn checked(name: &str, key: &str, value: OverrideValue, most: f64) -> Result<(),
     if least <= i.low && i.low <= i.best && i.best <= i.high && i.high <= most {
         return Ok(());
     }
+    let mut sorted = [i.low, i.best, i.high];
+    sorted.sort_by(f64::total_cmp);
+    let [low, best, high] = sorted;
+    let in_order = if least <= low && high <= most && sorted != [i.low, i.best, i.high] {
+        format!(": here best {best}, low {low}, high {high}")
+    } else {
+        String::new()
+    };
     Err(InputError::new(
         format!("{key} of `{name}` cannot be {} [{}, {}]", i.best, i.low, i.high),
         "",
-        format!("give {least} ≤ low ≤ best ≤ high ≤ {most}, in SI units"),
+        format!(
+            "give best, low, high in this order, with {least} ≤ low ≤ best ≤ high ≤ {most} in SI units{in_order}"
+        ),
     ))
 }
 
@@ -382,6 +392,25 @@ mod tests {
         }
         assert!(o.unset("mug", Some("weight")).is_err());
         assert!(o.object.is_empty(), "refused values are not kept");
+    }
+
+    /// The order of the numbers of `--set` is best, low, high.
+    #[test]
+    fn numbers_out_of_order_are_refused_with_their_order() {
+        let mut o = Overrides::default();
+        for text in ["0.4,0.5,0.6", "0.6,0.4,0.5", "0.4,0.6,0.5", "0.5,0.6,0.4"] {
+            let error = o.set("mug", "friction", text).unwrap_err();
+            assert!(error.cure.ends_with("best 0.5, low 0.4, high 0.6"), "{text}: {error}");
+        }
+        let beyond = o.set("mug", "friction", "7,6,8").unwrap_err();
+        assert!(!beyond.cure.contains("best 7"), "no order makes them valid: {beyond}");
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("mine.toml");
+        std::fs::write(&path, "[object.mug]\nfriction = { best = 0.4, low = 0.5, high = 0.6 }\n").unwrap();
+        let error = Overrides::read(&path).unwrap_err().to_string();
+        assert!(error.contains("best 0.5, low 0.4, high 0.6") && error.contains("mine.toml"), "{error}");
+        assert!(o.object.is_empty());
+        o.set("mug", "friction", "0.5,0.4,0.6").unwrap();
     }
 
     #[test]

@@ -3,8 +3,8 @@
 use crate::Error;
 use crate::run::Run;
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, Material, Property, RunFolder, Warnings, atomic};
-use sms_materials::{MaterialTable, ObjectQuery, Overrides, assign};
+use sms_core::{InputError, Material, Property, RunFolder, Warning, Warnings, atomic};
+use sms_materials::{MATERIAL_UNUSUAL, MaterialTable, ObjectQuery, Overrides, assign};
 use sms_scene::load_scene;
 use std::path::{Path, PathBuf};
 
@@ -24,6 +24,8 @@ pub struct ObjectMaterials {
     pub changed: Vec<String>,
     /// File of the edits.
     pub edits: PathBuf,
+    /// Warnings of the user's values beyond those of every material in the handbook.
+    pub unusual: Vec<Warning>,
 }
 
 impl Run<'_> {
@@ -52,9 +54,11 @@ impl Run<'_> {
         if is_edit {
             overrides.save(&edits)?;
         }
-        let materials = assign(&objects, &table, Some(&overrides), &Warnings::new())?;
+        let warnings = Warnings::new();
+        let materials = assign(&objects, &table, Some(&overrides), &warnings)?;
         let changed = changed(&scene_dir, &objects, &materials)?;
-        Ok(ObjectMaterials { objects, materials, changed, edits })
+        let unusual = warnings.snapshot().into_iter().filter(|w| w.code == MATERIAL_UNUSUAL).collect();
+        Ok(ObjectMaterials { objects, materials, changed, edits, unusual })
     }
 }
 

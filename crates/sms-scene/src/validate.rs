@@ -77,8 +77,9 @@ fn check_body(body: &Body, add: &mut impl FnMut(String)) {
         ("rolling", &m.rolling_m, 0.0, 0.1),
     ] {
         let v = property.value;
-        let ordered = v.low <= v.best && v.best <= v.high;
-        if !(ordered && v.low >= low && v.high <= high) {
+        if !(v.low <= v.best && v.best <= v.high) {
+            add(format!("its {name} {} is not between its ends, low {} and high {}", v.best, v.low, v.high));
+        } else if !(v.low >= low && v.high <= high) {
             add(format!("its {name} {} [{}, {}] is outside [{low}, {high}]", v.best, v.low, v.high));
         }
     }
@@ -209,6 +210,8 @@ mod tests {
         says(with_body(|b| b.name = "a/b".into()), "file name");
         says(with_body(|b| b.shape = BodyShape::HalfSpace), "only be static");
         says(with_body(|b| b.material.friction.value = Interval::new(9.0, 8.0, 10.0)), "friction");
+        let shuffled = Interval { best: 0.4, low: 0.5, high: 0.6 };
+        says(with_body(|b| b.material.friction.value = shuffled), "low 0.5 and high 0.6");
         says(with_body(|b| b.x_wb.translation.x = f64::NAN), "finite");
         says(
             with_body(|b| {

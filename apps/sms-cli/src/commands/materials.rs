@@ -8,6 +8,7 @@ use sms_pipeline::{Run, material_properties, source_name};
 
 pub(crate) fn run(console: &Console, a: &MaterialsArguments) -> anyhow::Result<()> {
     let found = Run::new(&a.run, &console.context).materials(&a.set, &a.unset)?;
+    found.unusual.iter().for_each(|warning| console.warn(warning));
     if console.json {
         return console.print_json(&found.metrics());
     }

@@ -4,7 +4,7 @@ use super::arguments::{Common, ProgressKind};
 use super::bars::Bars;
 use anyhow::Context as _;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, JsonProgress, NoProgress, PlainProgress, Progress};
+use sms_core::{Cancel, JsonProgress, NoProgress, PlainProgress, Progress, Warning};
 use sms_pipeline::{Context, Event, EventSink, Run, Settings};
 use std::io::{IsTerminal, Write};
 use std::time::Duration;
@@ -73,6 +73,11 @@ impl Console {
     pub fn print(&self, text: impl std::fmt::Display) {
         // Ignores a closed pipe.
         let _ = writeln!(std::io::stdout(), "{text}");
+    }
+
+    /// Prints a warning on standard error.
+    pub fn warn(&self, warning: &Warning) {
+        self.context.events.event(&Event::Warning(warning));
     }
 
     /// With `--json`, prints all metrics of the run (once, at the end of a flow of several commands).

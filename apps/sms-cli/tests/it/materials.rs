@@ -101,6 +101,18 @@ fn values_are_listed_changed_and_taken_back() {
     );
 }
 
+/// `2,1,3` is an interval in order, but no material has a friction of 2.
+#[test]
+fn a_value_beyond_every_material_is_a_warning() {
+    let dir = run_with_a_mug();
+    let warned = |value: &str| {
+        let output = materials(dir.path(), &["--set", &format!("object_01.friction={value}")]);
+        assert!(output.status.success());
+        String::from_utf8_lossy(&output.stderr).contains("friction of `object_01`")
+    };
+    assert_eq!((warned("2,1,3"), warned("0.3,0.2,0.4")), (true, false));
+}
+
 #[test]
 fn mistakes_are_named_and_change_nothing() {
     let dir = run_with_a_mug();
@@ -112,6 +124,7 @@ fn mistakes_are_named_and_change_nothing() {
         (&["--set", "object_01.colour=red"], ["colour", "youngs_modulus_pa"]),
         (&["--set", "object_01.density=heavy"], ["heavy", "best,low,high"]),
         (&["--set", "object_01.restitution=1.2"], ["restitution", "≤ 1"]),
+        (&["--set", "object_01.friction=1,2,3"], ["friction", "best 2, low 1, high 3"]),
         (&["--set", "object_01.class=stone"], ["stone", "marble"]),
         (&["--set", "floor.mass_kg=2"], ["floor", "no mass"]),
         (&["--set", "object_01.density=2000", "--set", "object_01"], ["--set object_01", "OBJECT.KEY=VALUE"]),
