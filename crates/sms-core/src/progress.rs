@@ -1,6 +1,6 @@
 //! Progress of long work, independent of its display.
 
-use crate::duration_text;
+use crate::{RemainingTime, duration_text};
 use serde_json::{Map, Value, json};
 use std::io::Write;
 use std::sync::Mutex;
@@ -33,9 +33,9 @@ pub struct Status<'a> {
     pub values: &'a [(&'a str, f64)],
 }
 
-/// Returns the seconds left if the remaining units take as long as the finished ones.
-pub fn linear_seconds_left(elapsed_s: f64, done: u64, units: u64) -> Option<f64> {
-    (done > 0 && units > done).then(|| elapsed_s / done as f64 * (units - done) as f64)
+/// Returns the units done for display: plans of work are estimates, and more than planned is not shown.
+pub fn shown_units(done: u64, units: u64) -> u64 {
+    if units > 0 { done.min(units) } else { done }
 }
 
 /// Discards progress.
@@ -57,17 +57,25 @@ struct CurrentPart {
     began: Instant,
     /// Time of its last line.
     last: Instant,
+    time: RemainingTime,
 }
 
 impl CurrentPart {
     fn new(out: Box<dyn Write + Send>, every: Duration) -> Mutex<Self> {
         let now = Instant::now();
-        Mutex::new(Self { out, every, name: String::new(), units: 0, began: now, last: now })
+        let time = RemainingTime::default();
+        Mutex::new(Self { out, every, name: String::new(), units: 0, began: now, last: now, time })
     }
 
     fn begin(&mut self, name: &str, units: u64) {
         let now = Instant::now();
         (self.name, self.units, self.began, self.last) = (name.to_owned(), units, now, now);
+        self.time = RemainingTime::default();
+    }
+
+    /// Counts units done and returns the seconds left, if they are known.
+    fn seconds_left(&mut self, done: u64) -> Option<f64> {
+        self.time.report(self.began.elapsed().as_secs_f64(), done, self.units)
     }
 
     /// Returns whether the last line is at least `every` ago, and restarts the interval if so.
@@ -128,11 +136,13 @@ impl Progress for PlainProgress {
 
     fn update(&self, done: u64, message: &str) {
         let Ok(mut state) = self.0.lock() else { return };
+        let left = state.seconds_left(done);
         if !state.is_due() {
             return;
         }
-        let left = linear_seconds_left(state.began.elapsed().as_secs_f64(), done, state.units);
-        let line = format!("{} {done}/{}: {message}{}", state.name, state.units, left_text(left));
+        let of = if state.units > 0 { format!("/{}", state.units) } else { String::new() };
+        let shown = shown_units(done, state.units);
+        let line = format!("{} {shown}{of}: {message}{}", state.name, left_text(left));
         state.line(line);
     }
 
@@ -182,7 +192,7 @@ impl Progress for JsonProgress {
 
     fn update(&self, done: u64, message: &str) {
         let seconds_left = match self.0.lock() {
-            Ok(state) => linear_seconds_left(state.began.elapsed().as_secs_f64(), done, state.units),
+            Ok(mut state) => state.seconds_left(done),
             Err(_) => return,
         };
         self.status(&Status { done, message, seconds_left, values: &[] });
@@ -193,8 +203,9 @@ impl Progress for JsonProgress {
         if !state.is_due() {
             return;
         }
+        let shown = shown_units(status.done, state.units);
         state.json("update", status.message, |object| {
-            object.insert("done".into(), json!(status.done));
+            object.insert("done".into(), json!(shown));
             object.insert("seconds_left".into(), json!(status.seconds_left));
             for (name, value) in status.values {
                 object.insert((*name).to_owned(), json!(value));
@@ -276,9 +287,22 @@ mod tests {
         assert!(lines.iter().all(|l| l["part"] == "scan" && l["seconds"].is_f64()));
     }
 
+    /// Plans are estimates: a search may need more rollouts.
     #[test]
-    fn linear_estimates() {
-        assert_eq!(linear_seconds_left(10.0, 2, 6), Some(20.0));
-        assert_eq!((linear_seconds_left(10.0, 0, 6), linear_seconds_left(10.0, 6, 6)), (None, None));
+    fn no_more_units_are_shown_than_planned() {
+        let out = Written::default();
+        let progress = PlainProgress(CurrentPart::new(Box::new(out.clone()), Duration::ZERO));
+        progress.begin("plan", 3216);
+        progress.update(3558, "shots simulated");
+        progress.begin("reasons", 0);
+        progress.update(7, "shots simulated");
+        let lines = out.lines();
+        assert_eq!((&*lines[1], &*lines[3]), ("plan 3216/3216: shots simulated", "reasons 7: shots simulated"));
+        let out = Written::default();
+        let progress = JsonProgress(CurrentPart::new(Box::new(out.clone()), Duration::ZERO));
+        progress.begin("plan", 3216);
+        progress.update(3558, "shots simulated");
+        let update: Value = serde_json::from_str(&out.lines()[1]).unwrap();
+        assert_eq!((&update["done"], &update["seconds_left"]), (&json!(3216), &Value::Null));
     }
 }

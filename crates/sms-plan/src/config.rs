@@ -197,12 +197,17 @@ impl PlanConfig {
         if self.method == Method::MultiStart { usize::MAX } else { self.nominal_evaluations() }
     }
 
+    /// Number of rollouts of a nominal search for progress; 0 if only the optimiser limits them.
+    pub(crate) fn planned_evaluations(&self) -> usize {
+        if self.method == Method::MultiStart { 0 } else { self.budget() }
+    }
+
     /// Largest number of nominal searches.
     pub(crate) fn searches(&self) -> usize {
         if self.method == Method::MultiStart { 1 } else { 1 + self.restarts }
     }
 
-    /// Approximate number of rollouts of the choice and the forecast.
+    /// Approximate number of rollouts of the choice.
     pub(crate) fn perturbed_rollouts(&self) -> usize {
         let half = self.perturbation.worlds;
         if half == 0 {
@@ -222,7 +227,7 @@ impl PlanConfig {
             alive = alive.div_ceil(2).max(self.finalists);
             seen = next;
         }
-        count + half * (self.polish_starts * self.polish + self.finalists) + self.forecast_worlds
+        count + half * (self.polish_starts * self.polish + self.finalists)
     }
 
     /// A quick plan with about a third of the rollouts.

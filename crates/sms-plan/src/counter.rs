@@ -2,12 +2,12 @@
 
 use crate::prediction::RolloutOutcome;
 use crate::{InvalidRollout, PlanError, Refusal};
-use sms_core::{Cancel, Progress};
+use sms_core::{Cancel, Progress, shown_units};
 use sms_sim::SimError;
 use sms_task::{Action, ResolvedTask};
 use std::collections::BTreeMap;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Counts rollouts, reports progress and checks for cancellation.
 pub(crate) struct Counter<'a> {
@@ -16,6 +16,10 @@ pub(crate) struct Counter<'a> {
     done: AtomicUsize,
     /// Rollouts before the current part of the work.
     before: AtomicUsize,
+    /// Planned rollouts of the current part; 0 if unknown.
+    planned: AtomicUsize,
+    /// Whether a part has begun and not ended.
+    is_in_part: AtomicBool,
     invalid: AtomicUsize,
     /// Invalid rollouts by reason: their number and the alphabetically first example.
     invalid_rollouts: Mutex<BTreeMap<String, (usize, String)>>,
@@ -41,6 +45,8 @@ impl<'a> Counter<'a> {
             cancel,
             done: AtomicUsize::new(0),
             before: AtomicUsize::new(0),
+            planned: AtomicUsize::new(0),
+            is_in_part: AtomicBool::new(false),
             invalid: AtomicUsize::new(0),
             invalid_rollouts: Mutex::default(),
             refused: Mutex::default(),
@@ -48,10 +54,19 @@ impl<'a> Counter<'a> {
         }
     }
 
-    /// Starts a part of the work with about this many rollouts.
+    /// Starts a part of the work with about this many rollouts, 0 if unknown.
     pub(crate) fn begin(&self, part: &str, rollouts: usize) {
         self.before.store(self.done(), Ordering::SeqCst);
+        self.planned.store(rollouts, Ordering::SeqCst);
+        self.is_in_part.store(true, Ordering::SeqCst);
         self.progress.begin(part, rollouts as u64);
+    }
+
+    /// Ends the part. Rollouts outside of parts are not reported.
+    pub(crate) fn end(&self, message: &str) {
+        if self.is_in_part.swap(false, Ordering::SeqCst) {
+            self.progress.end(message);
+        }
     }
 
     pub(crate) fn done(&self) -> usize {
@@ -145,8 +160,11 @@ impl<'a> Counter<'a> {
             other => RolloutOutcome::Done(other?),
         };
         let done = self.done.fetch_add(1, Ordering::SeqCst) + 1;
-        let before = self.before.load(Ordering::SeqCst);
-        self.progress.update(done.saturating_sub(before) as u64, "shots simulated");
+        if self.is_in_part.load(Ordering::SeqCst) {
+            let in_part = done.saturating_sub(self.before.load(Ordering::SeqCst)) as u64;
+            let planned = self.planned.load(Ordering::SeqCst) as u64;
+            self.progress.update(shown_units(in_part, planned), "shots simulated");
+        }
         Ok(shot)
     }
 }

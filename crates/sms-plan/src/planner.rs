@@ -67,17 +67,18 @@ pub fn plan(
         counter: Counter::new(progress, cancel),
     };
     let mut planning = Planning::search(&session)?;
-    progress.end(&format!("best of {} shots: {:.1} mm", planning.evaluations, 1e3 * planning.found.best()));
+    let counter = &session.counter;
+    counter.end(&format!("best of {} shots: {:.1} mm", planning.evaluations, 1e3 * planning.found.best()));
     let chosen = planning.choose()?;
+    counter.end(&format!("{} strategies", chosen.len()));
     let forecast = planning.forecast(&chosen)?;
     let (searched, refused) = planning.considered();
     let predictions: Vec<Option<Prediction>> =
         forecast.iter().map(|row| Prediction::of(&outcomes(row), |v| task.is_success(v))).collect();
     let winner = &chosen[0];
     let predicted = predictions[0];
-    if let Some(p) = predicted {
-        progress.end(&format!("chosen shot: {:.1} mm on average", 1e3 * p.mean));
-    }
+    let on_average = |p: Prediction| format!("chosen shot: {:.1} mm on average", 1e3 * p.mean);
+    counter.end(&predicted.map(on_average).unwrap_or_default());
     let objective_q90 = predicted.map_or(winner.objective, |p| p.q90);
     for start in planning.found.starts.iter_mut().filter(|s| s.action == winner.action) {
         start.objective_q90 = Some(objective_q90);
@@ -86,13 +87,15 @@ pub fn plan(
     let (mut sensitivities, mut reasons) = (Vec::new(), Vec::new());
     let strategies = strategies(&chosen, &predictions, &forecast);
     if let Some(rollout) = rollout.as_ref().filter(|_| config.sensitivity_rollouts > 0) {
+        // The number of rollouts depends on what they show.
+        counter.begin("plan: reasons", 0);
         // Sensitivities explain the spread of a forecast, so they need one.
         if predicted.is_some() {
             sensitivities = planning.sensitivities(winner, rollout, &forecast[0])?;
         }
         reasons = planning.reasons(&chosen, &strategies, rollout)?;
+        counter.end(&format!("{} reasons, {} sensitivities", reasons.len(), sensitivities.len()));
     }
-    let counter = &session.counter;
     let plan = Plan {
         task: task.kind().to_owned(),
         engine: factory.engine().to_owned(),
@@ -146,7 +149,7 @@ impl<'a> Planning<'a> {
     /// Searches the nominal world, repeatedly from other points while the best objective is poor.
     fn search(session: &'a Session<'a>) -> Result<Self, PlanError> {
         let (config, counter) = (session.config, &session.counter);
-        counter.begin("plan: search", config.budget());
+        counter.begin("plan: search", config.planned_evaluations());
         // Keyed by the point, so that the order in which threads finish does not matter.
         let known: Mutex<BTreeMap<Vec<u64>, String>> = Mutex::default();
         let settings = PlanConfig { evaluations: config.nominal_evaluations(), ..config.clone() };
@@ -166,7 +169,7 @@ impl<'a> Planning<'a> {
         let mut found = SearchLog::default();
         for round in 0..config.searches() {
             if round > 0 {
-                counter.begin("plan: search from other points", config.budget());
+                counter.begin("plan: search from other points", config.planned_evaluations());
             }
             // Seeds derive from these names, which therefore stay unchanged.
             let seed = match round {
@@ -207,7 +210,9 @@ impl<'a> Planning<'a> {
     /// The best action of each strategy, best strategy first; at least one.
     fn choose(&mut self) -> Result<Vec<RobustCandidate>, PlanError> {
         let session = self.session;
-        session.counter.begin("plan: perturbed worlds", session.config.perturbed_rollouts());
+        if session.config.perturbation.worlds > 0 {
+            session.counter.begin("plan: perturbed worlds", session.config.perturbed_rollouts());
+        }
         let worlds = self.perturbed_worlds(0..2 * session.config.perturbation.worlds)?;
         let choice = RobustChoice { session, known: &self.known };
         let chosen = choice.choose(&mut self.found, &worlds, session.seed.derive("robust scan"))?;
@@ -225,6 +230,9 @@ impl<'a> Planning<'a> {
         let count = if first == 0 { 0 } else { session.config.forecast_worlds };
         let worlds = self.perturbed_worlds(first..first + count)?;
         let actions: Vec<Action> = chosen.iter().map(|c| c.action.clone()).collect();
+        if worlds.len() > 0 {
+            session.counter.begin("plan: forecast", actions.len() * worlds.len());
+        }
         let look = |rollout: &Rollout| (session.strategy_of(rollout), touched(rollout, session.scene));
         let rows = worlds.look(&actions, 0..worlds.len(), &look)?;
         for (i, row) in rows.iter().enumerate() {

@@ -1,22 +1,29 @@
 //! Progress on a terminal: one bar for the current part of the work.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use sms_core::{Progress, Status, duration_text, linear_seconds_left};
+use sms_core::{Progress, RemainingTime, Status, duration_text, shown_units};
 use std::sync::Mutex;
 use std::time::Duration;
 
 /// Shows progress as a bar on standard error.
 #[derive(Debug, Default)]
 pub(super) struct Bars {
-    current: Mutex<Option<ProgressBar>>,
+    current: Mutex<Option<CurrentBar>>,
 }
 
-impl Bars {
-    fn show(&self, done: u64, message: &str, seconds_left: impl FnOnce(&ProgressBar) -> Option<f64>) {
-        let Ok(current) = self.current.lock() else { return };
-        let Some(bar) = current.as_ref() else { return };
-        bar.set_position(done);
-        bar.set_message(match seconds_left(bar) {
+/// The bar of the current part.
+#[derive(Debug)]
+struct CurrentBar {
+    bar: ProgressBar,
+    /// Planned units; 0 if unknown.
+    units: u64,
+    time: RemainingTime,
+}
+
+impl CurrentBar {
+    fn show(&self, done: u64, message: &str, seconds_left: Option<f64>) {
+        self.bar.set_position(shown_units(done, self.units));
+        self.bar.set_message(match seconds_left {
             Some(seconds) => format!("{} left · {message}", duration_text(seconds)),
             None => message.to_owned(),
         });
@@ -39,27 +46,47 @@ impl Progress for Bars {
         bar.set_prefix(part.to_owned());
         bar.enable_steady_tick(Duration::from_millis(250));
         let Ok(mut current) = self.current.lock() else { return };
-        if let Some(old) = current.replace(bar) {
-            old.finish_and_clear();
+        if let Some(old) = current.replace(CurrentBar { bar, units, time: RemainingTime::default() }) {
+            old.bar.finish_and_clear();
         }
     }
 
     fn update(&self, done: u64, message: &str) {
-        self.show(done, message, |bar| {
-            linear_seconds_left(bar.elapsed().as_secs_f64(), done, bar.length().unwrap_or(0))
-        });
+        let Ok(mut current) = self.current.lock() else { return };
+        let Some(part) = current.as_mut() else { return };
+        let left = part.time.report(part.bar.elapsed().as_secs_f64(), done, part.units);
+        part.show(done, message, left);
     }
 
     fn status(&self, status: &Status<'_>) {
-        self.show(status.done, status.message, |_| status.seconds_left);
+        let Ok(current) = self.current.lock() else { return };
+        if let Some(part) = current.as_ref() {
+            part.show(status.done, status.message, status.seconds_left);
+        }
     }
 
     fn end(&self, message: &str) {
         let Ok(mut current) = self.current.lock() else { return };
-        if let Some(bar) = current.take() {
+        if let Some(CurrentBar { bar, .. }) = current.take() {
             let line = format!("{:>22} {message} ({:.1} s)", bar.prefix(), bar.elapsed().as_secs_f64());
             bar.finish_and_clear();
             eprintln!("{line}");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bar_ends_at_its_length() {
+        let bars = Bars::default();
+        bars.begin("plan", 3216);
+        bars.update(3558, "shots simulated");
+        let current = bars.current.lock().unwrap();
+        let bar = &current.as_ref().unwrap().bar;
+        assert_eq!((bar.position(), bar.length()), (3216, Some(3216)));
+        assert_eq!(bar.message(), "shots simulated");
     }
 }

@@ -13,6 +13,8 @@ pub(crate) struct Pace {
     used: usize,
     allowed: usize,
     seconds_per_step: Option<f64>,
+    /// Measurements of it. The first one includes buffers that are allocated and shaders that are compiled once.
+    measured: usize,
     /// Seconds spent outside steps (seeding, pruning, rendering) in finished frames, and the number of these frames.
     beside: (f64, usize),
     /// Seconds per rendering, and the number of renderings at the end.
@@ -27,6 +29,7 @@ impl Pace {
             used: 0,
             allowed: 0,
             seconds_per_step: None,
+            measured: 0,
             beside: (0.0, 0),
             render: (0.0, measured),
         }
@@ -60,7 +63,9 @@ impl Pace {
         }
         let latest = seconds / steps as f64;
         let weight = (steps as f64 / HORIZON).min(1.0);
-        self.seconds_per_step = Some(self.seconds_per_step.map_or(latest, |s| s + weight * (latest - s)));
+        let mean = self.seconds_per_step.filter(|_| self.measured > 1);
+        self.seconds_per_step = Some(mean.map_or(latest, |s| s + weight * (latest - s)));
+        self.measured += 1;
     }
 
     /// Records a slot finished after `steps` steps; `beside` are the seconds of everything else in it, if measured.
@@ -77,9 +82,9 @@ impl Pace {
         self.render.0 = seconds;
     }
 
-    /// Returns the seconds left at `step` of `slot`; `None` before any measurement.
+    /// Returns the seconds left at `step` of `slot`; `None` before the second measurement.
     pub(crate) fn seconds_left(&self, slot: usize, step: usize) -> Option<f64> {
-        let per_step = self.seconds_per_step?;
+        let per_step = self.seconds_per_step.filter(|_| self.measured > 1)?;
         let share = if self.allowed > 0 { self.used as f64 / self.allowed as f64 } else { 1.0 };
         let steps = (self.units() - self.done(slot, step)) as f64 * share;
         let slots = self.limits.len().saturating_sub(slot + 1) as f64;
@@ -96,15 +101,19 @@ mod tests {
     fn before_any_frame_is_done_all_steps_are_expected() {
         let mut pace = Pace::new(vec![100, 20, 20, 60], 4);
         assert_eq!((pace.units(), pace.seconds_left(0, 0)), (200, None));
+        // The first batch is slow, because it prepares the others.
+        pace.stepped(10, 60.0);
+        assert_eq!((pace.seconds_per_step(), pace.seconds_left(0, 10)), (Some(6.0), None));
         pace.stepped(10, 0.5);
-        assert_eq!(pace.done(0, 10), 10);
-        assert!((pace.seconds_left(0, 10).unwrap() - 190.0 * 0.05).abs() < 1e-12);
+        assert_eq!(pace.done(0, 20), 20);
+        assert!((pace.seconds_left(0, 20).unwrap() - 180.0 * 0.05).abs() < 1e-12);
     }
 
     #[test]
     fn frames_that_stop_early_shorten_the_forecast() {
         let mut pace = Pace::new(vec![100, 20, 20, 60], 4);
-        pace.stepped(60, 0.6);
+        pace.stepped(30, 0.3);
+        pace.stepped(30, 0.3);
         pace.finished(0, 60, Some(2.0));
         pace.rendered(0.5);
         assert_eq!(pace.done(1, 0), 100, "what was not needed counts as done");

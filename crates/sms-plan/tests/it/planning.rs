@@ -4,15 +4,16 @@ use crate::common::{RADIUS, material, two_balls};
 use crate::rehearsal::rehearse;
 use sms_core::glamx::{DPose3, DVec2, DVec3};
 use sms_core::table::{Column, read_table};
-use sms_core::{Cancel, CoreError, NoProgress, Seed, StageContext, Warnings};
+use sms_core::{Cancel, CoreError, NoProgress, Progress, Seed, StageContext, Warnings};
 use sms_plan::{
-    Method, NelderMead, Perturbation, PlanConfig, PlanError, PlanOutcome, Trial, Unknown, load_plan, plan,
-    save_plan,
+    Method, NelderMead, Perturbation, PlanConfig, PlanError, PlanOutcome, Trial, TrialPhase, Unknown, load_plan,
+    plan, save_plan,
 };
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::RapierFactory;
 use sms_task::{Action, ActionForm, Billiards, ResolvedTask, Selector, Task};
 use std::path::Path;
+use std::sync::Mutex;
 
 fn config() -> PlanConfig {
     PlanConfig {
@@ -121,6 +122,45 @@ fn read_trials(path: &Path) -> Vec<Trial> {
         Trial::new(phase, starts[i], iterations[i], action, objectives[i])
     };
     (0..phases.len()).map(trial).collect()
+}
+
+/// Records each part of the progress: name, planned units, largest number of units done, whether it has ended.
+#[derive(Default)]
+struct Parts(Mutex<Vec<(String, u64, u64, bool)>>);
+
+impl Progress for Parts {
+    fn begin(&self, part: &str, units: u64) {
+        self.0.lock().unwrap().push((part.to_owned(), units, 0, false));
+    }
+
+    fn update(&self, done: u64, _: &str) {
+        let mut parts = self.0.lock().unwrap();
+        let part = parts.last_mut().unwrap();
+        assert!(!part.3, "an update after the end of {}", part.0);
+        part.2 = part.2.max(done);
+    }
+
+    fn end(&self, _: &str) {
+        self.0.lock().unwrap().last_mut().unwrap().3 = true;
+    }
+}
+
+#[test]
+fn progress_tells_every_part_and_never_exceeds_its_plan() {
+    let (parts, cancel, warnings) = (Parts::default(), Cancel::new(), Warnings::new());
+    let task = task(DVec2::new(0.85, 0.0), ActionForm::SpeedAngle);
+    let small = PlanConfig { evaluations: 40, robust_evaluations: 40, restarts: 0, ..config() };
+    let context = StageContext::new(&parts, &cancel, &warnings).with_seed(Seed(11));
+    let outcome = plan(&task, &two_balls(), &RapierFactory, &small, context).unwrap();
+    let parts = parts.0.into_inner().unwrap();
+    let names: Vec<&str> = parts.iter().map(|p| p.0.as_str()).collect();
+    assert_eq!(names, ["plan: search", "plan: perturbed worlds", "plan: forecast", "plan: reasons"]);
+    for (name, planned, done, has_ended) in &parts {
+        assert!(*has_ended && *done > 0 && (*planned == 0 || done <= planned), "{name}: {done}/{planned}");
+    }
+    // The forecast is known exactly.
+    let forecast = outcome.trials.iter().filter(|t| t.phase == TrialPhase::Forecast).count() as u64;
+    assert_eq!((parts[2].1, parts[2].2), (forecast, forecast));
 }
 
 fn the_same_bytes(method: Method) {
