@@ -64,14 +64,28 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, CoreError> {
 }
 
 /// Reads TOML; unknown keys are errors if the type denies them.
+///
+/// # Errors
+/// As [`read_toml_as`].
 pub fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, CoreError> {
+    read_toml_as(path, "file")
+}
+
+/// Reads TOML; messages call the file `what` ("settings file", "task file").
+///
+/// # Errors
+/// [`CoreError::Input`] when the file does not exist, cannot be read, is not TOML, or does not match the type.
+pub fn read_toml_as<T: DeserializeOwned>(path: &Path, what: &str) -> Result<T, CoreError> {
     let text = std::fs::read_to_string(path).map_err(|e| {
-        InputError::new("this settings file cannot be read", path, "check the path and its permissions")
-            .because(e)
+        if e.kind() == std::io::ErrorKind::NotFound {
+            return InputError::new(format!("this {what} does not exist"), path, "check the path");
+        }
+        let fault = format!("this {what} cannot be read");
+        InputError::new(fault, path, "check the path and its permissions").because(e)
     })?;
     toml::from_str(&text).map_err(|e| {
         InputError::new(
-            "this TOML file has an error",
+            format!("this {what} has an error"),
             path,
             "correct the line named above; `unknown field` lists the keys that exist",
         )
@@ -107,5 +121,21 @@ mod tests {
         assert_eq!(source.kind(), std::io::ErrorKind::StorageFull);
         assert_eq!(std::fs::read(&path).unwrap(), b"old");
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn files_are_called_by_their_kind() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("task.toml");
+        let read = || read_toml_as::<toml::Table>(&path, "task file");
+        let Err(CoreError::Input(missing)) = read() else { panic!("there is no file") };
+        assert_eq!(missing.path, path.display().to_string());
+        std::fs::write(&path, "kind = ").unwrap();
+        let Err(CoreError::Input(broken)) = read() else { panic!("this is not TOML") };
+        for error in [missing, broken] {
+            assert!(error.what.contains("task file") && !error.what.contains("settings"), "{error}");
+        }
+        std::fs::write(&path, "kind = 1").unwrap();
+        assert_eq!(read().unwrap()["kind"].as_integer(), Some(1));
     }
 }

@@ -190,7 +190,7 @@ impl LandingTask {
     /// # Errors
     /// [`CoreError::Input`] that names the file and the key.
     pub fn read(path: &Path) -> Result<Self, CoreError> {
-        let mut task: Self = atomic::read_toml(path)?;
+        let mut task: Self = atomic::read_toml_as(path, "task file")?;
         task.source = path.to_owned();
         task.validate()?;
         Ok(task)
@@ -315,6 +315,12 @@ mod tests {
         assert!(LandingTask::is_landing(&path));
         let again = LandingTask::read(&path).unwrap();
         assert_eq!(again, LandingTask { source: path, ..task });
+    }
+
+    #[test]
+    fn the_kind_is_one_of_those_that_errors_list() {
+        let kind = toml::Value::try_from(LandingKind::Landing).unwrap();
+        assert!(sms_task::TASK_KINDS.contains(&kind.as_str().unwrap()));
     }
 
     #[test]

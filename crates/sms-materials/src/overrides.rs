@@ -118,7 +118,7 @@ impl Overrides {
     /// # Errors
     /// [`CoreError::Input`] naming the file, the object and the value.
     pub fn read(path: &Path) -> Result<Self, CoreError> {
-        let mut overrides: Self = atomic::read_toml(path)?;
+        let mut overrides: Self = atomic::read_toml_as(path, "materials file")?;
         overrides.path = path.to_owned();
         for (name, o) in &mut overrides.object {
             for (key, most) in NUMBERS {

@@ -88,7 +88,7 @@ impl Settings {
     pub fn read(path: Option<&Path>, assignments: &[String]) -> Result<Self, Error> {
         let mut settings = Self::default();
         if let Some(path) = path {
-            settings.table = atomic::read_toml(path)?;
+            settings.table = atomic::read_toml_as(path, "settings file")?;
             settings.path = path.to_owned();
             for name in settings.table.keys() {
                 settings.check(name)?;

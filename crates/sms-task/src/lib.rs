@@ -48,6 +48,6 @@ pub use resolved::ResolvedTask;
 pub use rollout::{MotionRecording, Rollout, STRIKER, WorldBodies};
 pub use selector::{COLOR_WORDS, ColorName, Selector};
 pub use strike::{Strike, StrikeKind};
-pub use task::{Action, Parameter, Task};
+pub use task::{Action, Parameter, TASK_KINDS, Task};
 pub use terms::{METRES_PER_RADIAN, Others, Region, Term, TermBodies, When};
 pub use trajectory::{BodyTrack, Trajectory};

@@ -23,6 +23,12 @@ pub struct Parameter {
 #[serde(transparent)]
 pub struct Action(pub Vec<f64>);
 
+/// Values of `kind` in task files. The crate `sms-landing` reads those of `landing`.
+pub const TASK_KINDS: [&str; 3] = ["billiards", "strike", "landing"];
+
+/// Name of the files in messages.
+const TASK_FILE: &str = "task file";
+
 /// A task file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
@@ -41,16 +47,16 @@ impl Task {
     /// missing key, an unknown kind, or a value out of range.
     pub fn read(path: &Path) -> Result<Self, CoreError> {
         // The kind decides which keys exist, so it is read first. The typed reading then reports lines.
-        let table: toml::Table = atomic::read_toml(path)?;
+        let table: toml::Table = atomic::read_toml_as(path, TASK_FILE)?;
         refuse_robot(&table, path)?;
         match table.get("kind").and_then(toml::Value::as_str) {
             Some("billiards") => {
-                let task = Billiards { source: path.to_owned(), ..atomic::read_toml(path)? };
+                let task = Billiards { source: path.to_owned(), ..atomic::read_toml_as(path, TASK_FILE)? };
                 task.validate()?;
                 Ok(Self::Billiards(task))
             }
             Some("strike") => {
-                let task = Strike { source: path.to_owned(), ..atomic::read_toml(path)? };
+                let task = Strike { source: path.to_owned(), ..atomic::read_toml_as(path, TASK_FILE)? };
                 task.validate()?;
                 Ok(Self::Strike(task))
             }
@@ -59,7 +65,8 @@ impl Task {
                     Some(kind) => format!("this task file has an unknown `kind`, \"{kind}\""),
                     None => "this task file has no `kind`".to_owned(),
                 };
-                Err(InputError::new(what, path, "write kind = \"billiards\" or kind = \"strike\"").into())
+                let kinds = TASK_KINDS.map(|kind| format!("kind = \"{kind}\"")).join(", ");
+                Err(InputError::new(what, path, format!("write one of: {kinds}")).into())
             }
         }
     }
@@ -100,6 +107,23 @@ fn refuse_robot(table: &toml::Table, path: &Path) -> Result<(), InputError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_missing_task_and_an_unknown_kind_are_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("task.toml");
+        let refused = || match Task::read(&path) {
+            Err(CoreError::Input(error)) => error,
+            other => panic!("{other:?}"),
+        };
+        let missing = refused();
+        assert!(missing.what.contains("task file") && missing.path.ends_with("task.toml"), "{missing}");
+        for text in ["kind = \"juggle\"", "goal_w = [0.1, 0.2]"] {
+            std::fs::write(&path, text).unwrap();
+            let error = refused();
+            assert!(TASK_KINDS.iter().all(|kind| error.cure.contains(&format!("\"{kind}\""))), "{error}");
+        }
+    }
 
     #[test]
     fn a_robot_in_a_task_file_is_refused() {

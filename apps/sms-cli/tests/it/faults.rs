@@ -197,6 +197,15 @@ fn the_listed_settings_are_a_settings_file() {
 }
 
 #[test]
+fn a_missing_task_file_is_not_called_a_settings_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let [run, task] = ["run", "nowhere.toml"].map(|name| dir.path().join(name));
+    let output = sms(&["plan", run.to_str().unwrap(), "--task", task.to_str().unwrap()]);
+    expect_refusal(&output, &["nowhere.toml", "task file"]);
+    assert!(!String::from_utf8_lossy(&output.stderr).contains("settings"));
+}
+
+#[test]
 fn a_folder_that_holds_something_else_is_left_alone() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("thesis.tex"), "do not touch").unwrap();
