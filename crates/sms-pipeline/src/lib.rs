@@ -30,6 +30,7 @@ mod preview;
 mod robot_place;
 mod run;
 mod samples;
+mod separate;
 pub mod settings;
 pub mod stages;
 mod vlm;

@@ -206,6 +206,17 @@ fn a_missing_task_file_is_not_called_a_settings_file() {
 }
 
 #[test]
+fn a_run_in_the_folder_of_its_recording() {
+    let b = Broken::new();
+    let recording = b.dir.path().join("recording");
+    let before = contents(&recording);
+    for run in [recording.clone(), recording.join("run"), recording.join("depth/..")] {
+        expect_refusal(&quick_scan(&recording, &run, &[]), &[run.to_str().unwrap(), "--out"]);
+    }
+    assert!(contents(&recording) == before, "the recording has changed");
+}
+
+#[test]
 fn a_folder_that_holds_something_else_is_left_alone() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("thesis.tex"), "do not touch").unwrap();

@@ -4,6 +4,7 @@ use super::Run;
 use super::settings::{RunSettings, SETTINGS, regions_hash};
 use crate::cache::{inputs_hash, run_stage};
 use crate::networks::Networks;
+use crate::separate::refuse_run_in_recording;
 use crate::settings::poses_defaults;
 use crate::stages::{FramesRequest, GaussiansRequest, frames, gaussians, masks};
 use crate::{Device, Error, MasksSource, device};
@@ -83,6 +84,7 @@ impl Run<'_> {
     ) -> Result<ScanOutcome, Error> {
         let settings = self.scan_settings(request)?;
         let opened = Recording::open(recording, &settings.read)?;
+        refuse_run_in_recording(&self.folder, &opened.root)?;
         let run = RunFolder::create(&self.folder)?;
         let (frames_hash, sequence) = self.frames_stage(&run, &opened, request, &settings)?;
         // Written only after the recording was accepted: a refused one must not change an earlier run.
