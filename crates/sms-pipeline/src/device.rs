@@ -35,6 +35,29 @@ impl std::str::FromStr for Device {
     }
 }
 
+impl Device {
+    /// Refuses a selected GPU that this program or machine does not have, before any work for it.
+    ///
+    /// # Errors
+    /// [`InputError`] with the cure.
+    pub(crate) fn refuse_missing(self) -> Result<(), InputError> {
+        #[cfg(feature = "gpu")]
+        if let Self::Gpu(Some(index)) = self {
+            let count = sms_gaussians_gpu::adapters().len();
+            return if index < count { Ok(()) } else { Err(no_such_gpu(index, count)) };
+        }
+        match self {
+            Self::Gpu(_) if !cfg!(feature = "gpu") => Err(without_gpu()),
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(feature = "gpu")]
+fn no_such_gpu(index: usize, count: usize) -> InputError {
+    InputError::new(format!("GPU {index} does not exist; {count} found"), "--device", "`sms devices` lists them")
+}
+
 /// Returns the error for a GPU in a program built without GPU support.
 pub fn without_gpu() -> InputError {
     InputError::new(
@@ -67,11 +90,7 @@ pub(crate) fn trainer(
             events.event(&Event::Message(&format!("scanning on {name}")));
             Ok((Box::new(trainer), format!("gpu: {name}")))
         }
-        Err(GpuError::NoSuchAdapter { index, count }) => Err(InputError::new(
-            format!("GPU {index} does not exist; {count} found"),
-            "--device",
-            "`sms devices` lists them",
-        )),
+        Err(GpuError::NoSuchAdapter { index, count }) => Err(no_such_gpu(index, count)),
         Err(GpuError::NoAdapter(_)) if device == Device::Auto => Ok((cpu(), "cpu".to_owned())),
         Err(error) => {
             events.event(&Event::Alert(&format!("{error}; scanning on the CPU")));
@@ -106,6 +125,13 @@ pub(crate) fn trainer(
 #[cfg(test)]
 mod tests {
     use super::Device;
+
+    #[test]
+    fn a_gpu_that_is_missing_is_refused() {
+        assert!(Device::Auto.refuse_missing().is_ok() && Device::Cpu.refuse_missing().is_ok());
+        assert_eq!(Device::Gpu(Some(4000)).refuse_missing().unwrap_err().path, "--device");
+        assert_eq!(Device::Gpu(None).refuse_missing().is_ok(), cfg!(feature = "gpu"));
+    }
 
     #[test]
     fn devices_are_named_as_the_help_says() {

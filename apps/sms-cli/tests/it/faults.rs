@@ -206,6 +206,15 @@ fn a_missing_task_file_is_not_called_a_settings_file() {
 }
 
 #[test]
+fn a_gpu_that_is_missing_is_refused_before_any_work() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let device = if cfg!(feature = "gpu") { "gpu:4000" } else { "gpu" };
+    expect_refusal(&quick_scan(recording(), &run, &["--device", device]), &["--device"]);
+    assert!(!run.exists());
+}
+
+#[test]
 fn a_run_in_the_folder_of_its_recording() {
     let b = Broken::new();
     let recording = b.dir.path().join("recording");

@@ -82,6 +82,7 @@ impl Run<'_> {
         request: &ScanRequest,
         observer: &mut dyn ScanObserver,
     ) -> Result<ScanOutcome, Error> {
+        request.device.refuse_missing()?;
         let settings = self.scan_settings(request)?;
         let opened = Recording::open(recording, &settings.read)?;
         refuse_run_in_recording(&self.folder, &opened.root)?;
