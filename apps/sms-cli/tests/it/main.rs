@@ -6,3 +6,5 @@ mod landing;
 mod masks;
 mod materials;
 mod robot;
+#[cfg(unix)]
+mod view;
