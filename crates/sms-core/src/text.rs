@@ -2,11 +2,19 @@
 
 /// Formats a length: millimetres below a centimetre, centimetres below a metre, metres above.
 pub fn length_text(metres: f64) -> String {
-    match metres.abs() {
-        m if m < 0.01 => format!("{:.2} mm", metres * 1e3),
-        m if m < 1.0 => format!("{:.2} cm", metres * 1e2),
-        _ => format!("{metres:.2} m"),
-    }
+    let [text] = lengths_text([metres]);
+    text
+}
+
+/// Formats lengths that are compared, all in the unit of the largest one ([`length_text`]).
+pub fn lengths_text<const N: usize>(metres: [f64; N]) -> [String; N] {
+    let largest = metres.iter().map(|m| m.abs()).filter(|m| !m.is_nan()).max_by(f64::total_cmp);
+    let (per_metre, unit) = match largest {
+        Some(m) if m < 0.01 => (1e3, "mm"),
+        Some(m) if m < 1.0 => (1e2, "cm"),
+        _ => (1.0, "m"),
+    };
+    metres.map(|m| format!("{:.2} {unit}", m * per_metre))
 }
 
 /// Formats a duration: `41 s`, `2 min 10 s`, `1 h 5 min`.
@@ -34,6 +42,8 @@ mod tests {
         assert_eq!(length_text(-0.0512), "-5.12 cm");
         assert_eq!(length_text(2.5), "2.50 m");
         assert_eq!(length_text(f64::NAN), "NaN m");
+        assert_eq!(lengths_text([0.00473, 0.0105]), ["0.47 cm", "1.05 cm"]);
+        assert_eq!(lengths_text([-2.5, 0.004, f64::NAN]), ["-2.50 m", "0.00 m", "NaN m"]);
         assert_eq!(duration_text(40.6), "41 s");
         assert_eq!(duration_text(59.7), "1 min 0 s");
         assert_eq!(duration_text(3900.0), "1 h 5 min");

@@ -3,7 +3,8 @@
 use super::{evaluate, execute, materialize, plan, report, scan, simulate};
 use crate::cli::{self, DemoArguments, DemoName};
 use sms_cli::front::{Console, PresetName};
-use sms_core::{InputError, Seed, length_text};
+use sms_core::metrics::Metrics;
+use sms_core::{InputError, Seed, lengths_text};
 use sms_pipeline::{PlanRequest, Run, write_task_files};
 use sms_synth::{
     BilliardsSettings, HelicalPath, RecordingSettings, SceneViews, generate_billiards, landing_scene,
@@ -35,10 +36,8 @@ pub(crate) fn run(console: &Console, a: &DemoArguments) -> anyhow::Result<()> {
 
     let m = run.metrics()?;
     console.say("");
-    if a.name == DemoName::Billiards {
-        let length = |key: &str| m.number(key).map_or_else(|| "?".to_owned(), length_text);
-        console.say(format!("predicted: {} from the goal", length("plan.objective")));
-        console.say(format!("realised:  {} from the goal", length("execute.objective")));
+    if let Some(line) = comparison(&m).filter(|_| a.name == DemoName::Billiards) {
+        console.say(format!("result:    {line}"));
     }
     console.say(format!("report:    {}", page.display()));
     console.say(format!(
@@ -50,6 +49,20 @@ pub(crate) fn run(console: &Console, a: &DemoArguments) -> anyhow::Result<()> {
         console.print_json(&m)?;
     }
     Ok(())
+}
+
+/// Compares the realised distance from the goal with its prediction, which is for perturbed worlds if there are any.
+fn comparison(m: &Metrics) -> Option<String> {
+    let realised = m.number("execute.objective")?;
+    let predicted = ["execute.predicted_mean", "execute.predicted_q90"].map(|key| m.number(key));
+    if let [Some(mean), Some(q90)] = predicted {
+        let [mean, q90, realised] = lengths_text([mean, q90, realised]);
+        return Some(format!(
+            "predicted {mean} from the goal on average, within {q90} in 90 % of worlds; realised {realised}"
+        ));
+    }
+    let [predicted, realised] = lengths_text([m.number("plan.objective")?, realised]);
+    Some(format!("predicted {predicted} from the goal in the scanned world; realised {realised}"))
 }
 
 /// Records the scene: billiards from above, or a structure from a helix, with a straight flight across its overhang.
@@ -119,4 +132,22 @@ fn reconstruct(console: &Console, a: &DemoArguments, root: &Path, recording: &Pa
     )?;
     let seconds = if is_billiards { 1.0 } else { 2.0 };
     simulate::run(console, &cli::SimulateArguments { run: root.to_owned(), seconds })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_realised_distance_is_compared_with_the_predicted_mean_in_one_unit() {
+        let mut m = Metrics::new();
+        assert_eq!(comparison(&m), None);
+        m.set("plan.objective", 0.00473).set("execute.objective", 0.0105);
+        let line = comparison(&m).unwrap();
+        assert!(line.contains("0.47 cm") && line.contains("1.05 cm"), "{line}");
+        m.set("execute.predicted_mean", 0.0081).set("execute.predicted_q90", 0.016);
+        let line = comparison(&m).unwrap();
+        assert!(["0.81 cm", "1.60 cm", "1.05 cm"].iter().all(|length| line.contains(length)), "{line}");
+        assert!(!line.contains("mm") && !line.contains("0.47"), "the scanned world is one of many: {line}");
+    }
 }

@@ -3,7 +3,7 @@
 use super::{landing, objective_reference};
 use crate::cli::{ArmName, ExecuteArguments};
 use sms_cli::front::{Console, EngineName};
-use sms_core::length_text;
+use sms_core::lengths_text;
 use sms_pipeline::{ExecuteOutcome, ExecuteRequest, Run};
 use sms_sim::ArmKind;
 
@@ -27,21 +27,20 @@ pub(crate) fn show(console: &Console, outcome: &ExecuteOutcome) {
         ExecuteOutcome::Strike { plan, execution, dir } => (plan, execution, dir),
     };
     console.say(format!("execute: {}", e.engine));
+    let (mean, q90, nominal) =
+        e.predicted.as_ref().map_or((0.0, 0.0, plan.objective), |p| (p.mean, p.q90, p.nominal));
+    let [realised, mean, q90, nominal] = lengths_text([e.objective, mean, q90, nominal]);
     console.say(format!(
-        "  realised {} {}; {}",
-        length_text(e.objective),
+        "  realised {realised} {}; {}",
         objective_reference(&plan.task),
         if e.success { "success" } else { "missed" }
     ));
     console.say(match &e.predicted {
         Some(p) => format!(
-            "  predicted {} on average, within {} in 90 % of worlds, {} in the scanned one; {}",
-            length_text(p.mean),
-            length_text(p.q90),
-            length_text(p.nominal),
+            "  predicted {mean} on average, within {q90} in 90 % of worlds, {nominal} in the scanned one; {}",
             p.rank_text()
         ),
-        None => format!("  predicted {} in the scanned world", length_text(plan.objective)),
+        None => format!("  predicted {nominal} in the scanned world"),
     });
     console.say(format!("  in {}", dir.join("execution.json").display()));
 }
