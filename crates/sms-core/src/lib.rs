@@ -79,5 +79,5 @@ pub use remaining_time::RemainingTime;
 pub use run_folder::{RunFolder, Stage, StageState, toml_value};
 pub use seed::{Seed, StageRng, standard_normal};
 pub use stage_context::StageContext;
-pub use text::{duration_text, escape_xml, length_text, lengths_text};
+pub use text::{duration_text, escape_xml, length_text, lengths_text, wrapped};
 pub use warnings::{Warning, Warnings};

@@ -27,6 +27,35 @@ pub fn duration_text(seconds: f64) -> String {
     }
 }
 
+/// Breaks text between words into lines of at most `width` characters; lines after the first begin with `indent`. Text
+/// between backticks stays on one line, so that commands can be copied.
+pub fn wrapped(text: &str, width: usize, indent: &str) -> String {
+    let mut words: Vec<String> = Vec::new();
+    let mut is_quoted = false;
+    for word in text.split(' ') {
+        match words.last_mut().filter(|_| is_quoted) {
+            Some(quoted) => *quoted = format!("{quoted} {word}"),
+            None => words.push(word.to_owned()),
+        }
+        is_quoted ^= word.matches('`').count() % 2 == 1;
+    }
+    let (mut out, mut used) = (String::new(), 0);
+    for word in words {
+        let length = word.chars().count();
+        if used > 0 && used + 1 + length > width {
+            out.push('\n');
+            out.push_str(indent);
+            used = indent.chars().count();
+        } else if used > 0 {
+            out.push(' ');
+            used += 1;
+        }
+        out.push_str(&word);
+        used += length;
+    }
+    out
+}
+
 /// Escapes text for the content and the attribute values of XML and HTML elements.
 pub fn escape_xml(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
@@ -35,6 +64,18 @@ pub fn escape_xml(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn long_text_is_broken_between_words_and_not_in_commands() {
+        let text = "one two `sms scan REC --out RUN` three";
+        assert_eq!(wrapped(text, 100, "  "), text);
+        assert_eq!(wrapped(text, 10, "  "), "one two\n  `sms scan REC --out RUN`\n  three");
+        let words = "word ".repeat(40);
+        let lines = wrapped(words.trim(), 21, "> ");
+        assert!(lines.lines().all(|line| line.len() <= 21) && lines.lines().count() == 10, "{lines}");
+        assert_eq!(lines.replace("\n> ", " "), words.trim());
+        assert_eq!(wrapped("an `open quote", 4, ""), "an\n`open quote");
+    }
 
     #[test]
     fn lengths_and_durations() {

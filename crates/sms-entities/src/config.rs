@@ -41,7 +41,7 @@ pub struct EntitiesConfig {
     pub prune_factor: f64,
     /// Neighbours whose mean distance is the local feature size (released code: 10).
     pub prune_neighbors: usize,
-    /// Fixed largest edge, in place of the adaptive one.
+    /// Fixed largest tetrahedron edge of the prune rule in place of the adaptive one, metres.
     pub prune_length: Option<f64>,
     /// Rounds of Taubin smoothing.
     pub smoothing_iterations: usize,

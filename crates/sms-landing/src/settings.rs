@@ -165,6 +165,40 @@ impl LandingSettings {
         ] {
             r.within(key, value, low, high).map_err(named)?;
         }
+        self.validate_wash().map_err(named)
+    }
+
+    /// Checks the settings of the wash models.
+    fn validate_wash(&self) -> Result<(), InputError> {
+        let r = Ranges::of("landing");
+        let (jet, sph) = (&self.jet, &self.sph);
+        for (key, value, low, high) in [
+            ("jet.air_density", jet.air_density, 1e-3, 100.0),
+            ("jet.reach", jet.reach, 0.01, 100.0),
+            ("jet.merge_spans", jet.merge_spans, 0.01, 100.0),
+            ("sph.air_density", sph.air_density, 1e-3, 100.0),
+            ("sph.spacing", sph.spacing, 1e-3, 1.0),
+            // Below one spacing a particle has no neighbours.
+            ("sph.support_spacings", sph.support_spacings, 1.0, 10.0),
+            ("sph.sound_speed", sph.sound_speed, 0.1, 1e3),
+            ("sph.exponent", sph.exponent, 0.1, 20.0),
+            ("sph.slack", sph.slack, 0.0, 1.0),
+            ("sph.viscosity", sph.viscosity, 0.0, 10.0),
+            ("sph.cfl", sph.cfl, 1e-3, 10.0),
+            ("sph.reach", sph.reach, 0.01, 100.0),
+            ("sph.margin", sph.margin, 0.0, 100.0),
+            ("sph.lifetime_s", sph.lifetime_s, 1e-3, 100.0),
+        ] {
+            r.within(key, value, low, high)?;
+        }
+        for (key, value, low, high) in [
+            ("jet.rings", jet.rings, 1, 1000),
+            ("jet.spokes", jet.spokes, 1, 1000),
+            ("jet.pieces", jet.pieces, 1, 1000),
+            ("sph.max_particles", sph.max_particles, 1, 100_000_000),
+        ] {
+            r.count(key, value, low, high)?;
+        }
         Ok(())
     }
 }
@@ -185,6 +219,9 @@ mod tests {
         assert!(message.contains("`landing.screening`") && message.contains("settings.toml"), "{message}");
         let nan = LandingSettings { toppled: f64::NAN, ..LandingSettings::default() };
         assert!(text(nan.validate(path).unwrap_err()).contains("toppled"));
+        let mut flat = LandingSettings::default();
+        flat.sph.spacing = 0.0;
+        assert_eq!(flat.validate(path).unwrap_err().key(), Some("landing.sph.spacing"));
         assert!(toml::from_str::<LandingSettings>("[disturbances]\nwind = 1.0").is_err());
     }
 }

@@ -1,13 +1,19 @@
 //! Settings of all stages: the defaults or a preset, overridden by `--settings FILE`, then by each `--set
 //! section.key=value`.
 
+mod keys;
+mod listing;
+
+pub use keys::{describe, descriptions};
+pub use listing::{text, values};
+
 use crate::Error;
 use serde::{Serialize, de::DeserializeOwned};
-use sms_core::{InputError, atomic, toml_value};
+use sms_core::{InputError, atomic};
 use sms_entities::EntitiesConfig;
 use sms_eval::EvaluateSettings;
 use sms_frames::{LoadSettings, ReadOptions};
-use sms_gaussians::{Preset, ScanConfig};
+use sms_gaussians::ScanConfig;
 use sms_landing::LandingSettings;
 use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
@@ -250,35 +256,6 @@ fn merge(base: &mut toml::Value, overrides: &toml::Value) {
 /// Returns default settings of the pose refinement, with the depth noise of the frames.
 pub fn poses_defaults(frames: &LoadSettings) -> PosesConfig {
     PosesConfig { noise: frames.noise, ..PosesConfig::default() }
-}
-
-/// Returns all sections as TOML, with the overrides applied to the preset's values.
-pub fn text(settings: &Settings, preset: Preset) -> Result<String, Error> {
-    let frames = LoadSettings { long_side: preset.long_side(), ..LoadSettings::default() };
-    let mut out = String::from(
-        "# Settings of all stages. Keep the changed values and pass the file with --settings FILE, or single values with\n\
-         # --set section.key=value. Lengths in metres, angles in radians, times in seconds unless the name says otherwise.\n",
-    );
-    let frames = settings.section("frames", frames)?;
-    for (name, about) in SECTIONS {
-        let value = match *name {
-            "read" => serde_json::to_value(settings.section(name, ReadOptions::default())?)?,
-            "frames" => serde_json::to_value(&frames)?,
-            "poses" => serde_json::to_value(settings.section(name, poses_defaults(&frames))?)?,
-            "masks" => serde_json::to_value(settings.section(name, GeometryConfig::default())?)?,
-            "scan" => serde_json::to_value(settings.section(name, ScanConfig::preset(preset))?)?,
-            "entities" => serde_json::to_value(settings.section(name, EntitiesConfig::default())?)?,
-            "vlm" => serde_json::to_value(settings.section(name, vlm_defaults())?)?,
-            "plan" => serde_json::to_value(settings.section(name, PlanConfig::default())?)?,
-            "robot" => serde_json::to_value(settings.section(name, RobotConfig::default())?)?,
-            "evaluate" => serde_json::to_value(settings.section(name, EvaluateSettings::default())?)?,
-            _ => continue,
-        };
-        let mut table = toml::Table::new();
-        table.extend(toml_value(&value).map(|v| ((*name).to_owned(), v)));
-        out += &format!("\n# {about}\n{table}");
-    }
-    Ok(out)
 }
 
 /// Returns the default settings with the server and model of the environment.

@@ -47,7 +47,7 @@ pub struct PlanConfig {
     pub method: Method,
     /// Number of starts (paper: 30).
     pub starts: usize,
-    /// Rollouts in the nominal world. With [`Method::MultiStart`] the optimiser's own limit applies instead.
+    /// Rollouts in the nominal world. With the method `multi_start` the optimiser's own limit applies instead.
     pub evaluations: usize,
     /// Share of these rollouts for screening. Screening evaluates only strikes that the robot can carry out; infeasible
     /// draws (at most eight per point) cost nothing.
@@ -58,12 +58,12 @@ pub struct PlanConfig {
     pub nelder_mead: NelderMead,
     /// First step of the local search, as a share of the range of its start.
     pub initial_step: f64,
-    /// Number of searches at which [`Method::Halving`] stops halving.
+    /// Number of searches at which the method `halving` stops halving.
     pub survivors: usize,
     /// Rollouts in the nominal world if perturbed worlds follow; replaces `evaluations`.
     pub robust_evaluations: usize,
     /// Number of times that the nominal search is repeated from other points, with the same budget, while its best
-    /// objective exceeds [`SOLVED`] of the success limit. Not used by [`Method::MultiStart`].
+    /// objective exceeds a fifth of the success limit. Not used by the method `multi_start`.
     #[serde(rename = "anew")]
     pub restarts: usize,
     /// Number of points in the scan of the perturbed worlds. Each is feasible for the robot and tried in one of the

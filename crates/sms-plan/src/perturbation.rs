@@ -23,7 +23,7 @@ pub struct Perturbation {
     /// Whether materials are sampled within their intervals.
     pub materials: bool,
     /// Horizontal position error of balls that is common to all bodies (scale, pose of the recording, pose of the
-    /// robot), metres. Twice the standard error of the fit ([`Body::fit_se_m`]) is added. With 0, there is neither
+    /// robot), metres. Twice the standard error of the fit is added. With 0, there is neither
     /// error. Balls in contact with other bodies stay in place.
     pub position_m: f64,
     /// Radius error of balls, metres. Five times the standard error of the radius is added; with 0, there is neither

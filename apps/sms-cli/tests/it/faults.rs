@@ -197,6 +197,16 @@ fn the_listed_settings_are_a_settings_file() {
 }
 
 #[test]
+fn the_settings_as_json_have_every_section() {
+    let listed = sms(&["settings", "--json", "--set", "landing.draws=24"]);
+    let values: Value = serde_json::from_slice(&listed.stdout).unwrap();
+    for (name, _) in sms_pipeline::settings::SECTIONS {
+        assert!(values[name].is_object(), "{name}");
+    }
+    assert_eq!((&values["landing"]["draws"], &values["flight"]["period_s"]), (&24.into(), &0.05.into()));
+}
+
+#[test]
 fn a_missing_task_file_is_not_called_a_settings_file() {
     let dir = tempfile::tempdir().unwrap();
     let [run, task] = ["run", "nowhere.toml"].map(|name| dir.path().join(name));
