@@ -1,4 +1,4 @@
-//! `metrics.json`: one flat object, SI units, stable keys (documented in `docs/metrics.md`).
+//! `metrics.json`: one flat object, SI units, stable keys (documented in `docs/book/src/reference/metrics.md`).
 
 use crate::{CoreError, atomic};
 use serde::Serialize;

@@ -97,7 +97,7 @@ impl TargetEngine {
         InputError::new(
             format!("this program was built without the engine `{}`", self.name()),
             "--engine",
-            format!("build with `--features {feature}` (README, \"Target engines\"), or use `rapier`"),
+            format!("build with `--features {feature}` (docs/book/src/guides/engines.md), or use `rapier`"),
         )
     }
 }

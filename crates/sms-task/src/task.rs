@@ -100,7 +100,7 @@ fn refuse_robot(table: &toml::Table, path: &Path) -> Result<(), InputError> {
         format!("`{key}` is not a key of a task: a task states the goal, not the pose of the robot"),
         path,
         "write `[robot]` with `x_world_robot = [[…], […], […], [0, 0, 0, 1]]` in a settings file and give it with --settings \
-         (docs/robot.md)",
+         (docs/book/src/guides/robot.md)",
     ))
 }
 

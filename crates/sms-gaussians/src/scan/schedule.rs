@@ -40,7 +40,7 @@ const STAGE: &str = "scan";
 pub struct ScanResult {
     /// The Gaussians, as written to `scene.ply`.
     pub model: GaussianModel,
-    /// `scan.*` (see `docs/metrics.md`), without times and device, which are not part of the result.
+    /// `scan.*` (see `docs/book/src/reference/metrics.md`), without times and device, which are not part of the result.
     pub metrics: Metrics,
     /// The history of the losses, as written to `losses.json`.
     pub losses: Vec<LossSample>,

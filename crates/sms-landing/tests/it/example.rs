@@ -1,4 +1,4 @@
-//! Reads the example of docs/tasks.md.
+//! Reads the example of the book's page on task files.
 
 use sms_landing::LandingTask;
 

@@ -69,7 +69,7 @@ impl Run<'_> {
 
 fn truth_of(recording: &Path) -> Result<TruthScene, Error> {
     if !recording.join("truth").join("truth.json").is_file() {
-        let cure = "pass known models with --objects FILE (see docs/objects.md)";
+        let cure = "pass known models with --objects FILE (see docs/book/src/reference/objects-json.md)";
         return Err(InputError::new("no known models to compare with", recording, cure).into());
     }
     Ok(read_truth(recording)?)

@@ -1,4 +1,4 @@
-//! Export of a planned approach ([`crate::Flight`]) for autopilots: see `docs/flight.md`.
+//! Export of a planned approach ([`crate::Flight`]) for autopilots: see `docs/book/src/guides/flight.md`.
 //!
 //! | file | frame | for |
 //! |---|---|---|

@@ -221,7 +221,7 @@ fn errors_name_the_file_and_the_term() {
     assert_eq!(task.resolve(&scene).unwrap().cue().name, "far");
 }
 
-/// The examples of docs/tasks.md are valid task files whose objective is not met at the start.
+/// The examples of the book's page on tasks are valid task files whose objective is not met at the start.
 #[test]
 fn the_examples_can_be_read() {
     let dir = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/tasks");

@@ -157,11 +157,11 @@ impl StrikeError {
             }
             Self::Blocked { .. } => {
                 "place the robot on another side of the struck body (`x_world_robot` of [robot], or --at), or remove the \
-                 obstacles beside it; all holds of the tool were tried (docs/robot.md, \"The strike\")"
+                 obstacles beside it; all holds of the tool were tried (docs/book/src/reference/strikes.md)"
             }
             Self::Unstartable { .. } => {
                 "place the robot 0.1 to 0.2 m further away from the struck body (`x_world_robot` of [robot], or --at), or \
-                 remove the obstacles between; all postures and holds of the tool were tried (docs/robot.md, \"The strike\")"
+                 remove the obstacles between; all postures and holds of the tool were tried (docs/book/src/reference/strikes.md)"
             }
             Self::Invalid { .. } => "check the task's action and the settings of [robot]",
         }
