@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 /// Scan, materialize, simulate: from an RGB-D recording to a simulation-ready scene and a plan.
 #[derive(Debug, Parser)]
-#[command(name = "sms", version, about, propagate_version = true)]
+#[command(name = "sms", version, about)]
 pub(crate) struct Arguments {
     #[command(subcommand)]
     pub command: Command,
@@ -18,19 +18,32 @@ pub(crate) struct Arguments {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
+    /// Run all stages on a recording, with one summary at the end.
+    ///
+    /// Scans, materializes and simulates; plans if a task is given, and executes the plan if the recording has a ground
+    /// truth; then writes the report. Stages that are up to date are not run again, and an interrupted one is resumed.
+    Run(RunArguments),
+    /// List the stages of a run: complete, stale (and why) or absent; and the next commands.
+    Status(StatusArguments),
+    /// Rename objects of a run; without new names, list them.
+    ///
+    /// Material values follow their objects. The scene has the new names after `sms materialize`.
+    Name(NameArguments),
     /// Check sizes, poses, units and overlap of a recording, and suggest corrections.
     Check(CheckArguments),
     /// Reconstruct a recording as 3D Gaussians with object labels.
     Scan(ScanArguments),
-    /// Turn a scan into a simulation-ready scene: closed meshes, exact solids, convex parts and materials.
+    /// Turn a scan into a simulation-ready scene with meshes, exact solids and materials.
     Materialize(MaterializeArguments),
-    /// List or change the materials of the objects, with intervals and sources.
+    /// List or change the materials of the objects.
+    ///
+    /// Every value has an interval and a source. `--set OBJECT.KEY=VALUE` or `OBJECT.KEY=BEST,LOW,HIGH` changes it.
     Materials(MaterialsArguments),
     /// Simulate the scene without any action, and measure its drift.
     Simulate(SimulateArguments),
     /// Search for the best action for a task.
     Plan(PlanArguments),
-    /// Plan and check the arm's motion for the planned strike, and write its joint program.
+    /// Check the arm's motion for the planned strike, and write its joint program.
     Robot(RobotArguments),
     /// Execute the plan in an independent target world.
     Execute(ExecuteArguments),
@@ -46,25 +59,75 @@ pub(crate) enum Command {
     Demo(DemoArguments),
     /// Write a small generated recording for trying the commands.
     Sample(SampleArguments),
-    /// Write a full-size generated recording of a scene from one of the families.
+    /// Write a full-size generated recording.
     Synth(SynthArguments),
-    /// List the devices that can compute a scan, with the result of their self-check.
+    /// List the devices that can compute a scan, and check them.
     Devices,
-    /// List the objects of a run's masks. With --preview, draw the annotated first frame or try other detections.
+    /// List the objects of a run's masks, draw them, or try other detections.
     Masks(MasksArguments),
     /// List or fetch the weights of the networks.
     #[command(subcommand)]
     Models(ModelsArguments),
     /// Print all effective settings, in the format of `--settings`.
     Settings(SettingsArguments),
+    /// Write shell completions and man pages into a folder.
+    #[command(hide = true)]
+    Manual(ManualArguments),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct RunArguments {
+    /// Folder of the recording.
+    pub recording: PathBuf,
+    /// Task file (TOML) to plan for.
+    #[arg(long, value_name = "TASK.toml")]
+    pub task: Option<PathBuf>,
+    /// Folder of the run (default: runs/NAME, with the name of the recording).
+    #[arg(long, value_name = "RUN")]
+    pub out: Option<PathBuf>,
+    /// Resolution and number of training steps.
+    #[arg(long, value_enum)]
+    pub preset: Option<PresetName>,
+    /// Source of the object masks.
+    #[arg(long, value_enum, default_value = "geometry")]
+    pub masks: MasksName,
+    /// Objects to detect with --masks sam2: "mug, toy duck, cue ball".
+    #[arg(long, value_name = "LIST")]
+    pub objects: Option<String>,
+    /// Hold out every N-th frame to measure quality (0: none).
+    #[arg(long, value_name = "N")]
+    pub holdout: Option<usize>,
+    /// Device for the scan.
+    #[arg(long, value_name = "cpu|gpu[:N]|auto", default_value = "auto")]
+    pub device: Device,
+    /// Random seed.
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct StatusArguments {
+    /// Folder of the run.
+    pub run: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct NameArguments {
+    /// Folder of the run.
+    pub run: PathBuf,
+    /// Present and new names: object_03=duck object_04=cup.
+    #[arg(value_name = "OBJECT=NAME")]
+    pub names: Vec<String>,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct MasksArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// Write preview.png into the folder of the run: the first frame with masks, boxes and scores. With --objects, --box,
-    /// --threshold or --max-overlap, detect again with these options; this needs no masks and changes none.
+    /// Write preview.png, the first frame with masks, boxes and scores.
+    ///
+    /// With --objects, --box, --threshold or --max-overlap, detect again with these options; this needs no masks and
+    /// changes none.
     #[arg(long)]
     pub preview: bool,
     #[command(flatten)]
@@ -96,7 +159,7 @@ pub(crate) enum MasksName {
     Files,
     /// The truth of a generated recording (ablations only).
     Truth,
-    /// Objects named by --objects, found in the first frame by OWLv2 and tracked by SAM 2.1 (needs the feature `nets`).
+    /// Objects named by --objects, found in the first frame by OWLv2 and tracked by SAM 2.1 (feature `nets`).
     Sam2,
 }
 
@@ -124,25 +187,31 @@ pub(crate) enum TrackName {
 /// Options of `--masks sam2`.
 #[derive(Debug, Args, Clone, Default)]
 pub(crate) struct NetsArguments {
-    /// Objects to detect, in English: --objects "mug, toy duck, cue ball" (default: a list of household objects).
+    /// Objects to detect: "mug, toy duck" (default: household objects).
     #[arg(long, value_name = "LIST")]
     pub objects: Option<String>,
-    /// A box in the first frame: --box "mug=x0,y0,x1,y1" (repeatable). Without --objects, nothing else is detected.
+    /// An object's box in the first frame (repeatable).
+    ///
+    /// For example --box "mug=x0,y0,x1,y1". Without --objects, nothing else is detected.
     #[arg(long = "box", value_name = "NAME=X0,Y0,X1,Y1")]
     pub boxes: Vec<String>,
-    /// Lowest accepted score of a detection, 0 to 1 (default: 0.2).
+    /// Lowest score of a detection, 0 to 1 (default: 0.2).
     #[arg(long, value_name = "SCORE")]
     pub threshold: Option<f64>,
-    /// Overlap above which the weaker of two detections is dropped, 0 to 1 (default: 0.5).
+    /// Highest overlap of two detections, 0 to 1 (default: 0.5).
+    ///
+    /// Of two that overlap more, the weaker one is dropped.
     #[arg(long, value_name = "SHARE")]
     pub max_overlap: Option<f64>,
-    /// Tracking method of SAM 2 (default: memory on a GPU, reprompt on a CPU).
-    #[arg(long, value_enum)]
+    /// Tracking method of SAM 2.
+    ///
+    /// By default memory on a GPU, reprompt on a CPU.
+    #[arg(long, value_enum, value_name = "HOW")]
     pub track: Option<TrackName>,
     /// Name of the SAM 2.1 model (see `sms models list`).
     #[arg(long, value_name = "MODEL")]
     pub sam2: Option<String>,
-    /// Folder with the model files, instead of the Hugging Face cache.
+    /// Folder of the model files (default: the Hugging Face cache).
     #[arg(long, value_name = "DIR")]
     pub weights: Option<PathBuf>,
 }
@@ -177,7 +246,7 @@ pub(crate) struct SettingsArguments {
 pub(crate) struct ScanArguments {
     /// Folder of the recording.
     pub recording: PathBuf,
-    /// Folder of the run (created if missing; an interrupted run is resumed).
+    /// Folder of the run (created if missing; resumed if interrupted).
     #[arg(long, value_name = "RUN")]
     pub out: PathBuf,
     /// Resolution and number of training steps.
@@ -188,27 +257,34 @@ pub(crate) struct ScanArguments {
     pub masks: MasksName,
     #[command(flatten)]
     pub nets: NetsArguments,
-    /// Correct the camera poses before the scan; `auto` uses the correction only if held-out frames agree better.
+    /// Correct the camera poses before the scan.
+    ///
+    /// `auto` uses the correction only if held-out frames agree better.
     #[arg(long, value_enum, value_name = "MODE", num_args = 0..=1, default_missing_value = "on")]
     pub refine_poses: Option<RefinePoses>,
     /// Hold out every N-th frame to measure quality (0: none).
     #[arg(long, value_name = "N")]
     pub holdout: Option<usize>,
-    /// Device for the scan: `auto` uses a GPU if one is available; `gpu` or `gpu:N` selects one from `sms devices`. Builds
-    /// with `cuda` or `metal` run the networks there, too.
+    /// Device for the scan.
+    ///
+    /// `auto` uses a GPU if one is available; `gpu` or `gpu:N` selects one from `sms devices`. Builds with `cuda` or
+    /// `metal` run the networks there, too.
     #[arg(long, value_name = "cpu|gpu[:N]|auto", default_value = "auto")]
     pub device: Device,
     /// Random seed.
-    #[arg(long)]
+    #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Up direction in the recording's own world, if it cannot be detected from surfaces (any length).
+    /// Up direction in the recording's own world.
+    ///
+    /// Needed if it cannot be detected from surfaces; any length.
     #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
     pub up: Option<Vec<f64>>,
     /// Scan even if the check finds errors in the recording.
     #[arg(long)]
     pub no_check: bool,
-    /// Show the scan in a Rerun viewer while it runs: the one at ADDR (host:port or rerun+http://…), else one already open
-    /// on this machine, else a new one. Needs a build with the feature `rerun`.
+    /// Show the scan in a Rerun viewer (feature `rerun`).
+    ///
+    /// In the viewer at ADDR (host:port or rerun+http://…), else one already open on this machine, else a new one.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, require_equals = true, default_missing_value = "auto")]
     pub live: Option<String>,
 }
@@ -217,10 +293,12 @@ pub(crate) struct ScanArguments {
 pub(crate) struct MaterializeArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// TOML file with your own material values (`[object.NAME] class = "ceramic"`).
+    /// TOML file with material values (`[object.NAME] class = "ceramic"`).
     #[arg(long, value_name = "FILE")]
     pub materials: Option<PathBuf>,
-    /// Use of a vision-language model to estimate materials (`[vlm]`, SMS_VLM_URL, SMS_VLM_MODEL, OPENAI_API_KEY).
+    /// Use of a vision-language model to estimate materials.
+    ///
+    /// Configured with `[vlm]`, SMS_VLM_URL, SMS_VLM_MODEL and OPENAI_API_KEY.
     #[arg(long, value_enum, value_name = "MODE", default_value = "auto")]
     pub vlm: VlmName,
 }
@@ -267,7 +345,7 @@ pub(crate) struct SimulateArguments {
     /// Folder of the run.
     pub run: PathBuf,
     /// Simulated time, seconds.
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, value_name = "S", default_value_t = 1.0)]
     pub seconds: f64,
 }
 
@@ -279,13 +357,16 @@ pub(crate) struct PlanArguments {
     #[arg(long, value_name = "TASK.toml")]
     pub task: PathBuf,
     /// Seed of the search (default: that of the run).
-    #[arg(long)]
+    #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Number of perturbed worlds for the comparison of actions; 0 plans for the scanned world alone (default: the setting
-    /// `plan.disturbances.worlds`).
+    /// Number of perturbed worlds in which actions are compared.
+    ///
+    /// 0 plans for the scanned world alone. The default is the setting `plan.disturbances.worlds`.
     #[arg(long, value_name = "N")]
     pub robust: Option<usize>,
-    /// Method that chooses a landing: the search, or a baseline without a model of the wash (tasks of kind `landing` only).
+    /// Method that chooses a landing (tasks of kind `landing` only).
+    ///
+    /// The search, or a baseline without a model of the wash.
     #[arg(long, value_enum, value_name = "WHO", default_value_t = ChooserName::Ours)]
     pub chooser: ChooserName,
 }
@@ -318,8 +399,10 @@ impl ChooserName {
 pub(crate) struct ExecuteArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// Engine of the target world (default: physx if it is built in, else rapier, the planner's own engine).
-    #[arg(long, value_enum)]
+    /// Engine of the target world.
+    ///
+    /// By default physx if it is built in, else rapier, the planner's own engine.
+    #[arg(long, value_enum, value_name = "NAME")]
     pub engine: Option<EngineName>,
     /// Simulation of the arm's joints.
     #[arg(long, value_enum, default_value_t = ArmName::Shared)]
@@ -338,7 +421,7 @@ pub(crate) enum ArmName {
 pub(crate) struct EvaluateArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// `objects.json` with known models (default: the truth of a generated recording).
+    /// `objects.json` with known models (default: a generated truth).
     #[arg(long, value_name = "FILE")]
     pub objects: Option<PathBuf>,
 }
@@ -378,11 +461,15 @@ impl FormatName {
 pub(crate) struct RobotArguments {
     /// Folder of the run.
     pub run: PathBuf,
-    /// Pose of the base in the run's world: x, y, z in metres and yaw in degrees, such as 0,0,0,0 (default: the planned
-    /// robot, or `robot.x_world_robot` or `robot.x_recording_robot` in the settings).
+    /// Pose of the base: x, y, z in metres and yaw in degrees.
+    ///
+    /// In the run's world, such as 0,0,0,0. By default that of the planned robot, or `robot.x_world_robot` or
+    /// `robot.x_recording_robot` in the settings.
     #[arg(long, value_name = "X,Y,Z,YAW_DEG", allow_hyphen_values = true)]
     pub at: Option<String>,
-    /// Also write a motion that fails a check, for inspection, as program.not-executable.json and .parquet.
+    /// Also write a motion that fails a check, for inspection.
+    ///
+    /// As program.not-executable.json and .parquet.
     #[arg(long)]
     pub keep_failed: bool,
 }
@@ -394,8 +481,9 @@ pub(crate) struct ExportArguments {
     /// Formats, separated by commas (repeatable).
     #[arg(long, value_enum, required = true, value_delimiter = ',')]
     pub format: Vec<FormatName>,
-    /// Output folder, with one subfolder per format if several are given (default: RUN/export/FORMAT). An earlier export is
-    /// replaced.
+    /// Output folder (default: RUN/export/FORMAT).
+    ///
+    /// With one subfolder per format if several are given. An earlier export is replaced.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }
@@ -414,7 +502,7 @@ pub(crate) struct DemoArguments {
     #[arg(value_enum)]
     pub name: DemoName,
     /// Seed of the scene and of all stages.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
     /// Folder of the run (default: runs/NAME-SEED).
     #[arg(long, value_name = "RUN")]
@@ -438,7 +526,7 @@ pub(crate) struct SampleArguments {
     /// Folder to write (must be missing or empty).
     pub folder: PathBuf,
     /// Seed of the scene.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
 }
 
@@ -457,34 +545,45 @@ pub(crate) enum FamilyName {
 
 #[derive(Debug, Args, Clone)]
 pub(crate) struct SynthArguments {
-    /// Folder to write (must be missing or empty, or contain the same recording unfinished).
+    /// Folder to write (missing, empty, or with the same recording unfinished).
     pub folder: PathBuf,
     /// Family of scenes.
     #[arg(long, value_enum, default_value = "billiards")]
     pub family: FamilyName,
     /// Seed of the scene and of the camera noise.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
     /// Obstacles besides the balls (families billiards and challenge).
-    #[arg(long)]
+    #[arg(long, value_name = "N")]
     pub objects: Option<usize>,
-    /// Folder of scanned models (NAME/model.obj), which become obstacles (family billiards) or replace box, tote, bin and stool
-    /// (family landing).
+    /// Folder of scanned models (NAME/model.obj).
+    ///
+    /// They become obstacles (family billiards) or replace box, tote, bin and stool (family landing).
     #[arg(long, value_name = "DIR")]
     pub meshes: Option<PathBuf>,
     /// Number of frames.
-    #[arg(long, default_value_t = 60)]
+    #[arg(long, value_name = "N", default_value_t = 60)]
     pub frames: usize,
     /// Image width in pixels; the height is 5/8 of it.
-    #[arg(long, default_value_t = 1280)]
+    #[arg(long, value_name = "PX", default_value_t = 1280)]
     pub width: usize,
     /// Heights of the camera path (not for the family landing).
     #[arg(long, value_enum, default_value = "high")]
     pub path: PathName,
-    /// Standard deviation of the recorded camera position per axis, millimetres.
-    #[arg(long, default_value_t = 0.0)]
+    /// Standard deviation of the camera position, millimetres.
+    ///
+    /// Of the recorded position, per axis.
+    #[arg(long, value_name = "MM", default_value_t = 0.0)]
     pub pose_noise_mm: f64,
-    /// Standard deviation of the recorded camera rotation per axis, degrees.
-    #[arg(long, default_value_t = 0.0)]
+    /// Standard deviation of the camera rotation, degrees.
+    ///
+    /// Of the recorded rotation, per axis.
+    #[arg(long, value_name = "DEG", default_value_t = 0.0)]
     pub pose_noise_deg: f64,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ManualArguments {
+    /// Folder that receives `completions/` and `man/`; it is created.
+    pub folder: PathBuf,
 }

@@ -5,20 +5,23 @@
 
 mod cli;
 mod commands;
+mod help;
 mod live;
 
-use clap::Parser;
+use clap::FromArgMatches;
 use cli::{Arguments, Command};
 use sms_cli::front::{Console, failure};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let mut arguments = Arguments::parse();
+    let parsed = Arguments::from_arg_matches(&help::command().get_matches());
+    let mut arguments = parsed.unwrap_or_else(|error| error.exit());
     if let Command::Materials(a) = &mut arguments.command {
         // The `--set` of this command sets values of objects, not settings.
         a.set = std::mem::take(&mut arguments.common.assignments);
     }
-    let console = match Console::new(&arguments.common, matches!(arguments.command, Command::Demo(_))) {
+    let is_flow = matches!(arguments.command, Command::Demo(_) | Command::Run(_));
+    let console = match Console::new(&arguments.common, is_flow) {
         Ok(console) => console,
         Err(error) => return failure::report::<sms_pipeline::Error>(&error),
     };
@@ -31,6 +34,9 @@ fn main() -> ExitCode {
 fn run(console: &Console, command: Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::Check(a) => return commands::check::run(console, &a),
+        Command::Run(a) => commands::run::run(console, &a),
+        Command::Status(a) => commands::status::run(console, &a),
+        Command::Name(a) => commands::name::run(console, &a),
         Command::Scan(a) => commands::scan::run(console, &a),
         Command::Materialize(a) => commands::materialize::run(console, &a),
         Command::Materials(a) => commands::materials::run(console, &a),
@@ -49,6 +55,7 @@ fn run(console: &Console, command: Command) -> anyhow::Result<ExitCode> {
         Command::Masks(a) => commands::masks::run(console, &a),
         Command::Models(a) => commands::models::run(console, &a),
         Command::Settings(a) => commands::settings::run(console, &a),
+        Command::Manual(a) => commands::manual::run(console, &a),
     }
     .map(|()| ExitCode::SUCCESS)
 }

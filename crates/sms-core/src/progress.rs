@@ -297,7 +297,10 @@ mod tests {
         progress.begin("reasons", 0);
         progress.update(7, "shots simulated");
         let lines = out.lines();
-        assert_eq!((&*lines[1], &*lines[3]), ("plan 3216/3216: shots simulated", "reasons 7: shots simulated"));
+        assert_eq!(
+            (&*lines[1], &*lines[3]),
+            ("plan 3216/3216: shots simulated", "reasons 7: shots simulated")
+        );
         let out = Written::default();
         let progress = JsonProgress(CurrentPart::new(Box::new(out.clone()), Duration::ZERO));
         progress.begin("plan", 3216);

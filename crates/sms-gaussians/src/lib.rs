@@ -62,8 +62,8 @@ pub(crate) use model::HIDDEN_DIM;
 pub use model::{AFFINITY_DIM, Classifier, GaussianModel};
 pub use scan::{
     BatchDone, LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanObserver, ScanResult,
-    SeedingConfig, SlotDone, StageSeconds, StopConfig, ViewRender, ViewScore, read_ply, render_views, scan,
-    write_ply,
+    ScanResumed, SeedingConfig, SlotDone, StageSeconds, StopConfig, ViewRender, ViewScore, read_ply,
+    render_views, scan, write_ply,
 };
 pub use trainer::{
     FrameId, LossTerms, RenderedMaps, Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer,

@@ -16,19 +16,23 @@ use std::path::Path;
 struct LabelsFile {
     source: MaskSource,
     frames: usize,
-    objects: Vec<ObjectRow>,
+    objects: Vec<LabelRow>,
 }
 
-#[derive(Debug, Serialize, Deserialize)]
+/// One object of `labels.json`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct ObjectRow {
-    id: u16,
-    name: String,
+pub struct LabelRow {
+    /// Value in the label maps, at least 1. It stays the same when the object is renamed.
+    pub id: u16,
+    /// Name, unique in the scene, usable as a file name.
+    pub name: String,
+    /// Free text; may be empty.
     #[serde(default)]
-    description: String,
+    pub description: String,
     /// Name of the object that contains this one; the two are merged when labels are read.
     #[serde(default)]
-    merge_into: Option<String>,
+    pub merge_into: Option<String>,
 }
 
 /// Writes one 16-bit label PNG per frame (`000000.png`, …) and `labels.json` into `dir`.
@@ -41,7 +45,7 @@ pub fn save_labels(dir: &Path, labels: &Labels) -> Result<(), MasksError> {
     }
     let row = |o: &LabelInfo| {
         let LabelInfo { id, name, description } = o.clone();
-        ObjectRow { id, name, description, merge_into: None }
+        LabelRow { id, name, description, merge_into: None }
     };
     let objects = labels.objects.iter().map(row).collect();
     let file = LabelsFile { source: labels.source, frames: labels.maps.len(), objects };
@@ -86,20 +90,78 @@ pub fn load_labels(dir: &Path) -> Result<Labels, MasksError> {
     Ok(Labels { maps, objects, source: file.source })
 }
 
+/// Reads the objects of `labels.json`, also those that are merged into others, ordered by id. Reads no label maps.
+///
+/// # Errors
+/// As [`load_labels`], without those of the label maps.
+pub fn load_label_rows(dir: &Path) -> Result<Vec<LabelRow>, MasksError> {
+    let path = dir.join("labels.json");
+    let mut file: LabelsFile = atomic::read_json(&path)?;
+    check_and_merge(&file, &path)?;
+    file.objects.sort_by_key(|o| o.id);
+    Ok(file.objects)
+}
+
+/// Renames objects in `labels.json`, all at once, so that two objects can exchange their names. `renames` has the present
+/// and the new name of each object. Merges and descriptions are kept.
+///
+/// # Errors
+/// [`MasksError::Input`] naming the assignment `PRESENT=NEW` that is wrong: an object that does not exist, a name that
+/// cannot be used, or one that two objects would have. The file is unchanged then.
+pub fn rename_labels(dir: &Path, renames: &[(String, String)]) -> Result<(), MasksError> {
+    let path = dir.join("labels.json");
+    let mut file: LabelsFile = atomic::read_json(&path)?;
+    check_and_merge(&file, &path)?;
+    for (i, (from, to)) in renames.iter().enumerate() {
+        let refuse = |what: String, cure: &str| -> Result<(), MasksError> {
+            Err(InputError::new(what, format!("{from}={to}"), cure).into())
+        };
+        if !file.objects.iter().any(|o| o.name == *from) {
+            let known: Vec<&str> = file.objects.iter().map(|o| o.name.as_str()).collect();
+            return refuse(
+                format!("there is no object `{from}`"),
+                &format!("name one of: {}", known.join(", ")),
+            );
+        }
+        if renames[..i].iter().any(|earlier| earlier.0 == *from) {
+            return refuse(format!("`{from}` is given two names"), "give every object one name");
+        }
+        if !is_usable(to) {
+            return refuse(format!("the name `{to}` cannot be used for an object"), NAMES);
+        }
+    }
+    let renamed = |name: &str| {
+        let found = renames.iter().find(|r| r.0 == name);
+        found.map_or_else(|| name.to_owned(), |r| r.1.clone())
+    };
+    for row in &mut file.objects {
+        row.name = renamed(&row.name);
+        row.merge_into = row.merge_into.as_deref().map(renamed);
+    }
+    for (from, to) in renames {
+        if file.objects.iter().filter(|o| o.name == *to).count() > 1 {
+            let what = format!("two objects would have the name `{to}`");
+            let cure =
+                "give every object its own name; to merge two objects, set `merge_into` in masks/labels.json";
+            return Err(InputError::new(what, format!("{from}={to}"), cure).into());
+        }
+    }
+    atomic::write_json(&path, &file)
+}
+
+/// The cure for a name that cannot be used.
+const NAMES: &str = "use letters, digits, `_` and `-`, at most 64, and not floor, environment or world; free text belongs in \
+                     `description`";
 const CURE: &str = "restore the file, or make the masks again with `sms scan --force`";
 
 /// Validates the rows and returns the final id of every id.
 fn check_and_merge(file: &LabelsFile, path: &Path) -> Result<BTreeMap<u16, u16>, InputError> {
     let fault = |message: String, cure: &str| Err(InputError::new(message, path, cure));
-    let mut by_name: BTreeMap<&str, &ObjectRow> = BTreeMap::new();
+    let mut by_name: BTreeMap<&str, &LabelRow> = BTreeMap::new();
     let mut by_id = BTreeMap::new();
     for row in &file.objects {
         if !is_usable(&row.name) {
-            return fault(
-                format!("the name `{}` cannot be used for an object", row.name),
-                "use letters, digits, `_` and `-`, at most 64, and not floor, environment or world; free text belongs in \
-                 `description`",
-            );
+            return fault(format!("the name `{}` cannot be used for an object", row.name), NAMES);
         }
         if by_name.insert(&row.name, row).is_some() {
             return fault(
@@ -194,6 +256,39 @@ mod tests {
         assert_eq!(merged.maps[1].data, [3, 300, 0]);
         let names: Vec<_> = merged.objects.iter().map(|o| o.name.as_str()).collect();
         assert_eq!(names, ["object_03", "far"]);
+    }
+
+    #[test]
+    fn names_are_exchanged_and_merges_follow_them() {
+        let dir = tempfile::tempdir().unwrap();
+        save_labels(dir.path(), &labels()).unwrap();
+        let path = dir.path().join("labels.json");
+        let merged = merging("object_01", "object_02")(std::fs::read_to_string(&path).unwrap());
+        std::fs::write(&path, merged).unwrap();
+        let pair = |from: &str, to: &str| (from.to_owned(), to.to_owned());
+        let exchanged = [pair("object_02", "far"), pair("far", "object_02"), pair("object_03", "duck")];
+        rename_labels(dir.path(), &exchanged).unwrap();
+        let rows = load_label_rows(dir.path()).unwrap();
+        let named: Vec<_> = rows.iter().map(|r| (r.id, r.name.as_str(), r.merge_into.as_deref())).collect();
+        let expected =
+            [(1, "object_01", Some("far")), (2, "far", None), (3, "duck", None), (300, "object_02", None)];
+        assert_eq!(named, expected);
+        // A refused name changes nothing.
+        let before = std::fs::read(&path).unwrap();
+        for wrong in [
+            &[pair("duck", "far")][..],
+            &[pair("duck", "goose"), pair("object_01", "goose")],
+            &[pair("duck", "a"), pair("duck", "b")],
+            &[pair("duck", "floor")],
+            &[pair("duck", "a/b")],
+            &[pair("teapot", "cup")],
+        ] {
+            let error = rename_labels(dir.path(), wrong).unwrap_err();
+            assert!(matches!(error, MasksError::Input(_)), "{error}");
+            assert_eq!(std::fs::read(&path).unwrap(), before);
+        }
+        let unknown = rename_labels(dir.path(), &[pair("teapot", "cup")]).unwrap_err().to_string();
+        assert!(unknown.contains("object_01, far, duck, object_02"), "{unknown}");
     }
 
     #[test]

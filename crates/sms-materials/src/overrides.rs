@@ -44,6 +44,9 @@ impl OverrideValue {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ObjectOverride {
+    /// Label of the object in the run's masks. It identifies the object when its name changes; without it, the name does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub label: Option<u16>,
     /// Material class of the table.
     pub class: Option<String>,
     /// Density of the material itself, kg/m³.
@@ -202,7 +205,7 @@ impl Overrides {
             Some(slot) => slot.take().is_some(),
             None => object.class.take().is_some(),
         };
-        if *object == ObjectOverride::default() {
+        if *object == (ObjectOverride { label: object.label, ..ObjectOverride::default() }) {
             self.object.remove(name);
         }
         Ok(had)
@@ -218,6 +221,7 @@ impl Overrides {
                 under.mass_kg = None;
             }
             under.class = over.class.take().or(under.class.take());
+            under.label = over.label.or(under.label);
             for (key, _) in NUMBERS {
                 if let (Some(slot), Some(Some(value))) = (under.slot(key), over.slot(key).copied()) {
                     *slot = Some(value);

@@ -1,25 +1,11 @@
 //! The stage cache of a run: a stage is recomputed only if its inputs or settings have changed.
 
+use crate::origin::{Sources, keep_later_origins, staleness_of};
+use crate::stage_list::{CHECKS, STAGES, prefixes};
 use crate::{Context, Error, Event};
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, Hash, Hasher, RunFolder, Stage, StageState, Warnings};
+use sms_core::{Hash, Hasher, RunFolder, Stage, StageState, Warnings};
 use std::path::PathBuf;
-
-/// The stages in the order of the data flow, with the metrics that each writes.
-const STAGES: [(&str, &[&str]); 8] = [
-    ("frames", &["check.", "poses."]),
-    ("masks", &["masks."]),
-    ("gaussians", &["scan."]),
-    ("entities", &["entities.", "materialize."]),
-    ("scene", &["scene."]),
-    ("plan", &["plan."]),
-    ("target", &["execute."]),
-    // Depends only on the plan, like `target`.
-    ("robot", &["robot."]),
-];
-
-/// Checks without a folder, with the stage that they check.
-const CHECKS: [(&str, &str); 2] = [("evaluate", "entities"), ("simulate", "scene")];
 
 /// Returns the hash of a stage from the hashes of its inputs and its settings.
 pub(crate) fn inputs_hash<T: serde::Serialize>(inputs: &[&Hash], settings: &T) -> Result<Hash, Error> {
@@ -32,7 +18,8 @@ pub(crate) fn inputs_hash<T: serde::Serialize>(inputs: &[&Hash], settings: &T) -
 }
 
 /// Runs a stage unless it is up to date and returns its folder. `work` fills the stage's folder and returns metrics,
-/// which are saved with the warnings.
+/// which are saved with the warnings. The earlier result stays until the new one is complete; later results stay, too,
+/// and are stale then.
 pub(crate) fn run_stage(
     context: &Context,
     run: &RunFolder,
@@ -42,16 +29,22 @@ pub(crate) fn run_stage(
 ) -> Result<PathBuf, Error> {
     let state = run.begin(name, hash, context.force)?;
     let is_cached = matches!(state, StageState::Done(_));
+    let sources = Sources::of(run, name);
     let dir = match state {
-        StageState::Done(dir) => dir,
+        StageState::Done(dir) => {
+            sources.confirm(run, name)?;
+            dir
+        }
         StageState::Todo(stage) => {
+            tell_reason(context, run, name, hash);
             let warnings = Warnings::new();
             let metrics = work(&stage, &warnings)?;
-            drop_dependents(run, name)?;
-            let prefixes = STAGES.iter().find(|s| s.0 == name).map_or(&[][..], |s| s.1);
+            sources.write(stage.dir())?;
+            keep_later_origins(run, name)?;
+            drop_checks(run, name)?;
             // Metrics are written before the rename: if the process is killed in between, the stage runs again and
             // rewrites them.
-            record(context, run, name, prefixes, metrics, &warnings)?;
+            record(context, run, name, prefixes(name), metrics, &warnings)?;
             stage.commit()?
         }
     };
@@ -78,20 +71,23 @@ pub(crate) fn record(
     Ok(())
 }
 
-/// Removes all results computed from the earlier result of `stage`, such as a plan for another scene or objects of
-/// another scan.
-fn drop_dependents(run: &RunFolder, stage: &str) -> Result<(), Error> {
+/// Reports why a stage with an earlier result is made again.
+fn tell_reason(context: &Context, run: &RunFolder, name: &str, hash: &Hash) {
+    let Some(before) = run.stage_hash(name) else { return };
+    let reasons = staleness_of(run, name).reasons();
+    let reason = match (reasons.is_empty(), before == *hash) {
+        (false, _) => reasons.join("; "),
+        (true, false) => "its settings have changed".to_owned(),
+        (true, true) if context.force => "--force".to_owned(),
+        (true, true) => "another version of the program made it".to_owned(),
+    };
+    context.message(format!("{name}: made again ({reason})"));
+}
+
+/// Removes the figures of checks of the earlier result of `stage`; a check has no folder that could be stale.
+fn drop_checks(run: &RunFolder, stage: &str) -> Result<(), Error> {
     let Some(at) = STAGES.iter().position(|s| s.0 == stage) else { return Ok(()) };
     let mut metrics = Metrics::load(&run.metrics_path())?;
-    let after = if stage == "target" { STAGES.len() } else { at + 1 };
-    for (name, prefixes) in &STAGES[after..] {
-        let dir = run.root().join(name);
-        if dir.exists() {
-            std::fs::remove_dir_all(&dir).map_err(CoreError::write(&dir))?;
-        }
-        prefixes.iter().for_each(|p| metrics.remove_prefix(p));
-        Warnings::new().save_as(&run.warnings_path(), name)?;
-    }
     for (name, checked) in CHECKS {
         if STAGES[at..].iter().any(|s| s.0 == checked) {
             Warnings::new().save_as(&run.warnings_path(), name)?;

@@ -55,7 +55,11 @@ impl Device {
 
 #[cfg(feature = "gpu")]
 fn no_such_gpu(index: usize, count: usize) -> InputError {
-    InputError::new(format!("GPU {index} does not exist; {count} found"), "--device", "`sms devices` lists them")
+    InputError::new(
+        format!("GPU {index} does not exist; {count} found"),
+        "--device",
+        "`sms devices` lists them",
+    )
 }
 
 /// Returns the error for a GPU in a program built without GPU support.

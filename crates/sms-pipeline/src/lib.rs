@@ -25,13 +25,17 @@ mod device;
 mod error;
 mod material_edits;
 mod networks;
+mod object_names;
+mod origin;
 mod picture;
 mod preview;
+mod resumption;
 mod robot_place;
 mod run;
 mod samples;
 mod separate;
 pub mod settings;
+mod stage_list;
 pub mod stages;
 mod vlm;
 
@@ -43,7 +47,8 @@ pub use networks::{MasksSource, ModelEntry, NetworksRequest, TrackMode, fetch_mo
 pub use robot_place::{RobotPlace, write_robot_place};
 pub use run::{
     EvaluateOutcome, ExecuteOutcome, ExecuteRequest, MaterializeOutcome, MaterializeRequest, PlanRequest,
-    PlannedTask, RobotOutcome, RobotRequest, Run, RunSettings, ScanOutcome, ScanRequest,
+    PlannedTask, RobotOutcome, RobotRequest, Run, RunSettings, RunStatus, ScanOutcome, ScanRequest,
+    StageCondition, StageStatus, is_at_rest,
 };
 pub use samples::{landing_task_of, strike_task_of, write_task_files};
 pub use settings::Settings;

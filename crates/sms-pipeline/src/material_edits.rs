@@ -1,6 +1,7 @@
 //! Materials of a scene, and the user's edits to them.
 
 use crate::Error;
+use crate::object_names::{EDITS, FIXED, ObjectNames, follow};
 use crate::run::Run;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Material, Property, RunFolder, Warning, Warnings, atomic};
@@ -8,20 +9,22 @@ use sms_materials::{MATERIAL_UNUSUAL, MaterialTable, ObjectQuery, Overrides, ass
 use sms_scene::load_scene;
 use std::path::{Path, PathBuf};
 
-/// File of the user's edits in the run's folder, in the format of `sms materialize --materials FILE`.
-pub(crate) const EDITS: &str = "materials.toml";
 /// File of the material queries in the scene's folder: the effect of an edit can be shown without materializing again.
 pub(crate) const QUERIES: &str = "materials.json";
 
 /// Materials of the objects of a scene.
 #[derive(Debug, Clone)]
 pub struct ObjectMaterials {
-    /// The objects, followed by the floor.
+    /// The objects under their present names, followed by the floor. Empty if there is no scene.
     pub objects: Vec<ObjectQuery>,
     /// The material of each.
     pub materials: Vec<Material>,
     /// Names of the objects with another material in the scene, which is older than the last edit.
     pub changed: Vec<String>,
+    /// Names of the objects of this call's edits.
+    pub edited: Vec<String>,
+    /// Names in the file of the edits that belong to no object of the scene.
+    pub unused: Vec<String>,
     /// File of the edits.
     pub edits: PathBuf,
     /// Warnings of the user's values beyond those of every material in the handbook.
@@ -31,7 +34,8 @@ pub struct ObjectMaterials {
 impl Run<'_> {
     /// Edits the materials of the objects and returns them all. `set` has `OBJECT.KEY=VALUE` or
     /// `OBJECT.KEY=BEST,LOW,HIGH`; `unset` has `OBJECT.KEY`, or `OBJECT` for all its values. Without edits, no file is
-    /// written.
+    /// written. An object may have its name in `masks/labels.json` or in the scene. Values can be reset without a
+    /// scene.
     ///
     /// # Errors
     /// [`Error::Input`] that names the invalid edit; no edit is saved then.
@@ -39,30 +43,78 @@ impl Run<'_> {
         let is_edit = !set.is_empty() || !unset.is_empty();
         let folder = self.folder();
         let run = if is_edit { RunFolder::open(folder)? } else { RunFolder::open_to_read(folder)? };
-        let scene_dir = run.stage_dir("scene", "materialize")?;
-        let objects = known(&scene_dir)?;
-        let table = MaterialTable::builtin();
+        let scene_dir = match run.stage_dir("scene", "materialize") {
+            Err(_) if set.is_empty() && is_edit => None,
+            found => Some(found?),
+        };
+        let in_scene = scene_dir.as_deref().map(known).transpose()?.unwrap_or_default();
         let edits = run.root().join(EDITS);
-        let mut overrides = Overrides::read_optional(&edits)?;
+        let names = ObjectNames::of(&run)?;
+        let mut overrides = follow(Overrides::read_optional(&edits)?, &names).overrides;
+        let mut objects = in_scene.clone();
+        for object in &mut objects {
+            object.name = names.present_name_of_scene(&object.name).to_owned();
+        }
+        let table = MaterialTable::builtin();
+        let known = Known { objects: &objects, names: &names };
         for text in unset {
-            take_back(&mut overrides, text, &objects)?;
+            take_back(&mut overrides, text, known)?;
         }
         for text in set {
-            edit(&mut overrides, text, &objects, &table)?;
+            edit(&mut overrides, text, known, &table)?;
         }
-        overrides.check(&objects, &table)?;
+        let mut used = overrides.clone();
+        used.object.retain(|name, _| objects.iter().any(|o| o.name == *name));
+        used.check(&objects, &table)?;
         if is_edit {
             overrides.save(&edits)?;
         }
+        let unused = overrides.object.into_keys().filter(|name| !used.object.contains_key(name)).collect();
         let warnings = Warnings::new();
-        let materials = assign(&objects, &table, Some(&overrides), &warnings)?;
-        let changed = changed(&scene_dir, &objects, &materials)?;
+        let materials = assign(&objects, &table, Some(&used), &warnings)?;
         let unusual = warnings.snapshot().into_iter().filter(|w| w.code == MATERIAL_UNUSUAL).collect();
-        Ok(ObjectMaterials { objects, materials, changed, edits, unusual })
+        let edited = edited(&objects, set.iter().chain(unset));
+        let changed = match &scene_dir {
+            Some(dir) => {
+                changed(dir, &in_scene, &materials)?.into_iter().map(|i| objects[i].name.clone()).collect()
+            }
+            None => Vec::new(),
+        };
+        Ok(ObjectMaterials { objects, materials, changed, edited, unused, edits, unusual })
+    }
+}
+
+/// The objects that edits may name.
+#[derive(Clone, Copy)]
+struct Known<'a> {
+    /// The objects of the scene under their present names, if there is one.
+    objects: &'a [ObjectQuery],
+    names: &'a ObjectNames,
+}
+
+impl Known<'_> {
+    fn has(self, name: &str) -> bool {
+        self.objects.iter().any(|o| o.name == name)
+    }
+
+    fn unknown(self, name: &str, given: &str) -> InputError {
+        let known = match self.names.known() {
+            Some(known) if self.objects.is_empty() => known,
+            _ if self.objects.is_empty() => FIXED.to_vec(),
+            _ => self.objects.iter().map(|o| o.name.as_str()).collect(),
+        };
+        let cure = format!("name one of: {}", known.join(", "));
+        InputError::new(format!("this scene has no object `{name}`"), given, cure)
     }
 }
 
 impl ObjectMaterials {
+    /// Returns the objects and their materials that show the effect of the call: the edited ones, or all without edits.
+    pub fn shown(&self) -> impl Iterator<Item = (&ObjectQuery, &Material)> {
+        let all = self.objects.iter().zip(&self.materials);
+        all.filter(|(object, _)| self.edited.is_empty() || self.edited.contains(&object.name))
+    }
+
     /// Returns the metrics `materials.*`.
     pub fn metrics(&self) -> Metrics {
         let mut m = Metrics::new();
@@ -84,6 +136,15 @@ impl ObjectMaterials {
     }
 }
 
+/// Returns the objects that edits (`OBJECT`, `OBJECT.KEY`, `OBJECT.KEY=VALUE`) name.
+fn edited<'a>(objects: &[ObjectQuery], edits: impl Iterator<Item = &'a String>) -> Vec<String> {
+    let targets: Vec<&str> = edits.map(|text| text.split('=').next().unwrap_or(text).trim()).collect();
+    let is_named = |name: &str| {
+        targets.iter().any(|t| *t == name || t.rsplit_once('.').is_some_and(|(object, _)| object == name))
+    };
+    objects.iter().filter(|o| is_named(&o.name)).map(|o| o.name.clone()).collect()
+}
+
 fn known(scene_dir: &Path) -> Result<Vec<ObjectQuery>, Error> {
     let path = scene_dir.join(QUERIES);
     if !path.is_file() {
@@ -97,7 +158,7 @@ fn known(scene_dir: &Path) -> Result<Vec<ObjectQuery>, Error> {
 fn edit(
     overrides: &mut Overrides,
     text: &str,
-    objects: &[ObjectQuery],
+    known: Known<'_>,
     table: &MaterialTable,
 ) -> Result<(), InputError> {
     let given = format!("--set {text}");
@@ -110,7 +171,8 @@ fn edit(
     };
     let (target, value) = text.split_once('=').ok_or_else(malformed)?;
     let (name, key) = target.trim().rsplit_once('.').ok_or_else(malformed)?;
-    object(name, &given, objects)?;
+    let name = known.names.present_name(name);
+    let object = known.objects.iter().find(|o| o.name == name).ok_or_else(|| known.unknown(name, &given))?;
     let value = value.trim();
     if key == "class" && table.class(value).is_none() {
         let classes: Vec<&str> = table.classes().collect();
@@ -120,26 +182,30 @@ fn edit(
             format!("use one of: {}", classes.join(", ")),
         ));
     }
-    if key == "mass_kg" && objects.iter().any(|o| o.name == name && o.volume_m3 <= 0.0) {
+    if key == "mass_kg" && object.volume_m3 <= 0.0 {
         return Err(InputError::new(format!("`{name}` is fixed and has no mass"), given, "leave it out"));
     }
-    overrides.set(name, key, value)
+    overrides.set(name, key, value)?;
+    if let Some(values) = overrides.object.get_mut(name) {
+        values.label = known.names.label(name);
+    }
+    Ok(())
 }
 
 /// Resets `OBJECT` or `OBJECT.KEY`.
-fn take_back(overrides: &mut Overrides, text: &str, objects: &[ObjectQuery]) -> Result<(), InputError> {
+fn take_back(overrides: &mut Overrides, text: &str, known: Known<'_>) -> Result<(), InputError> {
     let given = format!("--unset {text}");
-    let is_object =
-        |name: &str| objects.iter().any(|o| o.name == name) || overrides.object.contains_key(name);
-    let (name, key) = match text.rsplit_once('.') {
-        Some((name, key)) if !is_object(text) => (name, Some(key)),
-        _ => (text, None),
-    };
     // Values of an object that no longer exists can be reset.
-    if !is_object(name) {
-        object(name, &given, objects)?;
-    }
-    if overrides.unset(name, key)? {
+    let object = |name: &str| {
+        let present = known.names.present_name(name).to_owned();
+        [name.to_owned(), present].into_iter().find(|n| overrides.object.contains_key(n) || known.has(n))
+    };
+    let (name, key) = match (object(text), text.rsplit_once('.')) {
+        (Some(name), _) => (name, None),
+        (None, Some((name, key))) => (object(name).ok_or_else(|| known.unknown(name, &given))?, Some(key)),
+        (None, None) => return Err(known.unknown(text, &given)),
+    };
+    if overrides.unset(&name, key)? {
         return Ok(());
     }
     let what = key.map_or_else(|| "nothing is".to_owned(), |key| format!("{key} is not"));
@@ -147,18 +213,6 @@ fn take_back(overrides: &mut Overrides, text: &str, objects: &[ObjectQuery]) -> 
         format!("{what} set for `{name}`"),
         given,
         "`sms materials RUN` lists all values; set ones have the source `user`",
-    ))
-}
-
-fn object(name: &str, given: &str, objects: &[ObjectQuery]) -> Result<(), InputError> {
-    if objects.iter().any(|o| o.name == name) {
-        return Ok(());
-    }
-    let names: Vec<&str> = objects.iter().map(|o| o.name.as_str()).collect();
-    Err(InputError::new(
-        format!("this scene has no object `{name}`"),
-        given,
-        format!("name one of: {}", names.join(", ")),
     ))
 }
 
@@ -180,19 +234,32 @@ pub fn source_name(property: Property) -> String {
     format!("{:?}", property.source).to_lowercase()
 }
 
-/// Returns the objects with another material in the scene.
-fn changed(scene_dir: &Path, objects: &[ObjectQuery], materials: &[Material]) -> Result<Vec<String>, Error> {
+/// Returns the indices of the objects with another material in the scene; `objects` have the scene's names.
+fn changed(scene_dir: &Path, objects: &[ObjectQuery], materials: &[Material]) -> Result<Vec<usize>, Error> {
     let scene = load_scene(scene_dir)?;
     let differs = |object: &ObjectQuery, material: &Material| {
         scene.bodies.iter().find(|b| b.name == object.name).is_some_and(|b| b.material != *material)
     };
-    let pairs = objects.iter().zip(materials);
-    Ok(pairs.filter(|(o, m)| differs(o, m)).map(|(o, _)| o.name.clone()).collect())
+    let pairs = objects.iter().zip(materials).enumerate();
+    Ok(pairs.filter(|(_, (o, m))| differs(o, m)).map(|(i, _)| i).collect())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_edited_objects_are_shown() {
+        let objects =
+            ["mug", "mug.2", "floor"].map(|name| ObjectQuery { name: name.into(), ..Default::default() });
+        let of = |edits: &[&str]| {
+            let edits: Vec<String> = edits.iter().map(|e| (*e).to_owned()).collect();
+            edited(&objects, edits.iter())
+        };
+        assert_eq!(of(&["mug.friction=0.4,0.3,0.5"]), ["mug"]);
+        assert_eq!(of(&["mug.2.density = 1.5", "floor"]), ["mug.2", "floor"]);
+        assert_eq!(of(&[]), [""; 0]);
+    }
 
     #[test]
     fn edits_name_what_is_wrong_and_change_nothing_then() {
@@ -201,6 +268,8 @@ mod tests {
             ObjectQuery { name: "object_01".into(), volume_m3: 1e-3, ..Default::default() },
             ObjectQuery { name: "floor".into(), ..Default::default() },
         ];
+        let names = ObjectNames::default();
+        let known = Known { objects: &objects, names: &names };
         let mut overrides = Overrides::default();
         for (text, words) in [
             ("object_01", ["--set object_01", "OBJECT.KEY=VALUE"]),
@@ -211,20 +280,18 @@ mod tests {
             ("object_01.friction=much", ["much", "best,low,high"]),
             ("floor.mass_kg=3", ["floor", "no mass"]),
         ] {
-            let message = edit(&mut overrides, text, &objects, &table).unwrap_err().to_string();
+            let message = edit(&mut overrides, text, known, &table).unwrap_err().to_string();
             assert!(words.iter().all(|w| message.contains(w)), "{message}");
         }
         assert!(overrides.object.is_empty());
-        edit(&mut overrides, "object_01.friction=0.4,0.3,0.5", &objects, &table).unwrap();
-        edit(&mut overrides, "object_01.class = steel", &objects, &table).unwrap();
-        let message = take_back(&mut overrides, "object_01.density", &objects).unwrap_err().to_string();
+        edit(&mut overrides, "object_01.friction=0.4,0.3,0.5", known, &table).unwrap();
+        edit(&mut overrides, "object_01.class = steel", known, &table).unwrap();
+        let message = take_back(&mut overrides, "object_01.density", known).unwrap_err().to_string();
         assert!(message.contains("density is not set"), "{message}");
-        assert!(
-            take_back(&mut overrides, "object_7", &objects).unwrap_err().to_string().contains("object_01")
-        );
-        take_back(&mut overrides, "object_01.friction", &objects).unwrap();
+        assert!(take_back(&mut overrides, "object_7", known).unwrap_err().to_string().contains("object_01"));
+        take_back(&mut overrides, "object_01.friction", known).unwrap();
         assert_eq!(overrides.object["object_01"].class.as_deref(), Some("steel"));
-        take_back(&mut overrides, "object_01", &objects).unwrap();
+        take_back(&mut overrides, "object_01", known).unwrap();
         assert!(overrides.object.is_empty());
     }
 }

@@ -60,7 +60,9 @@ mod tests {
         #[cfg(unix)]
         {
             std::os::unix::fs::symlink(at("rec"), at("link")).unwrap();
-            assert!(is_refused("link", "rec") && is_refused("rec/run", "link") && is_refused("link/run", "rec"));
+            assert!(
+                is_refused("link", "rec") && is_refused("rec/run", "link") && is_refused("link/run", "rec")
+            );
         }
     }
 }

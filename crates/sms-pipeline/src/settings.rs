@@ -1,5 +1,5 @@
-//! Settings of all stages: the defaults or a preset, overridden by `--settings FILE`, then by each `--set
-//! section.key=value`.
+//! Settings of all stages: the defaults or a preset, overridden by `sms.toml` in the working folder, by `--settings
+//! FILE`, then by each `--set section.key=value`.
 
 mod keys;
 mod listing;
@@ -80,11 +80,18 @@ struct Assignment {
     value: toml::Value,
 }
 
+/// A file of settings.
+#[derive(Debug)]
+struct SettingsFile {
+    path: PathBuf,
+    table: toml::Table,
+}
+
 /// Overrides of the settings; may be empty.
 #[derive(Debug, Default)]
 pub struct Settings {
-    table: toml::Table,
-    path: PathBuf,
+    /// The files; later ones take precedence.
+    files: Vec<SettingsFile>,
     assignments: Vec<Assignment>,
 }
 
@@ -92,12 +99,18 @@ impl Settings {
     /// Reads the file and the assignments and checks every key of every section, so that mistakes are found before any
     /// work.
     pub fn read(path: Option<&Path>, assignments: &[String]) -> Result<Self, Error> {
+        Self::read_layers(path.as_slice(), assignments)
+    }
+
+    /// Does the same as [`Settings::read`] for several files; later ones take precedence, key by key.
+    pub fn read_layers(paths: &[&Path], assignments: &[String]) -> Result<Self, Error> {
         let mut settings = Self::default();
-        if let Some(path) = path {
-            settings.table = atomic::read_toml_as(path, "settings file")?;
-            settings.path = path.to_owned();
-            for name in settings.table.keys() {
-                settings.check(name)?;
+        for path in paths {
+            let table: toml::Table = atomic::read_toml_as(path, "settings file")?;
+            let names: Vec<String> = table.keys().cloned().collect();
+            settings.files.push(SettingsFile { path: (*path).to_owned(), table });
+            for name in names {
+                settings.check(&name)?;
             }
         }
         for text in assignments {
@@ -112,23 +125,23 @@ impl Settings {
     /// Returns `base` overridden by the section's values of the file and the assignments.
     pub fn section<T: Section>(&self, name: &str, base: T) -> Result<T, Error> {
         let assigned: Vec<&Assignment> = self.assignments.iter().filter(|a| a.section == name).collect();
-        let overrides = self.table.get(name);
-        if overrides.is_none() && assigned.is_empty() {
+        let given: Vec<_> = self.files.iter().filter_map(|f| Some((&f.path, f.table.get(name)?))).collect();
+        if given.is_empty() && assigned.is_empty() {
             return Ok(base);
         }
         let mut value = toml::Value::try_from(&base)?;
         let mut made = base;
-        if let Some(overrides) = overrides {
+        for (path, overrides) in given {
             if !overrides.is_table() {
                 return Err(InputError::new(
                     format!("`{name}` is a section, not a value"),
-                    &self.path,
+                    path,
                     format!("write `[{name}]` on a line of its own and its keys below"),
                 )
                 .into());
             }
             merge(&mut value, overrides);
-            made = value.clone().try_into().map_err(|e| fault(name, &self.path, &e))?;
+            made = value.clone().try_into().map_err(|e| fault(name, path, &e))?;
         }
         for assignment in assigned {
             merge(&mut value, &assignment.as_table());
@@ -141,10 +154,14 @@ impl Settings {
     /// Returns the error for an invalid value, with the source of the value.
     fn blame(&self, section: &str, error: InputError) -> InputError {
         let set = error.key().and_then(|key| self.assignments.iter().rev().find(|a| a.concerns(key)));
-        match set {
-            Some(assignment) => error.at_path(assignment.source()),
-            None if self.table.contains_key(section) => error.at_path(&self.path),
-            None => error,
+        let sets_key = |file: &&SettingsFile| error.key().is_some_and(|key| has_key(&file.table, key));
+        let with_section = |file: &&SettingsFile| file.table.contains_key(section);
+        let file =
+            self.files.iter().rev().find(sets_key).or_else(|| self.files.iter().rev().find(with_section));
+        match (set, file.map(|f| f.path.clone())) {
+            (Some(assignment), _) => error.at_path(assignment.source()),
+            (None, Some(path)) => error.at_path(path),
+            (None, None) => error,
         }
     }
 
@@ -157,7 +174,12 @@ impl Settings {
             .assignments
             .iter()
             .find(|a| a.section == name)
-            .map_or_else(|| self.path.display().to_string(), Assignment::source);
+            .map(Assignment::source)
+            .or_else(|| {
+                let file = self.files.iter().rev().find(|f| f.table.contains_key(name))?;
+                Some(file.path.display().to_string())
+            })
+            .unwrap_or_default();
         InputError::new(
             format!("the settings do not have a section `{name}`"),
             source,
@@ -210,6 +232,15 @@ impl Assignment {
             a.strip_prefix(b).is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[', ' ']))
         };
         within(key, &own) || within(&own, key)
+    }
+}
+
+/// Returns whether a table has a dotted key, of which the last parts may be inside a value.
+fn has_key(table: &toml::Table, key: &str) -> bool {
+    let (first, rest) = key.split_once(['.', '[', ' ']).unwrap_or((key, ""));
+    match table.get(first) {
+        Some(toml::Value::Table(inner)) if !rest.is_empty() => has_key(inner, rest),
+        found => found.is_some(),
     }
 }
 
@@ -310,6 +341,25 @@ mod tests {
         assert_eq!(s.section("read", ReadOptions::default()).unwrap().depth_unit_m, Some(0.0002));
         let frames = s.section("frames", LoadSettings::default()).unwrap();
         assert_eq!(frames.align, sms_frames::Align::Up([0.0, 0.0, 1.0]));
+    }
+
+    #[test]
+    fn later_files_win_key_by_key_and_faults_name_their_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let [own, given] = ["sms.toml", "mine.toml"].map(|name| dir.path().join(name));
+        std::fs::write(&own, "[scan]\nfinal_steps = 400\nsteps_frame = 7\n").unwrap();
+        std::fs::write(&given, "[scan]\nfinal_steps = 500\n[frames]\nstride = 2\n").unwrap();
+        let read = |set: &[String]| Settings::read_layers(&[&own, &given], set);
+        let scan = read(&[]).unwrap().section("scan", ScanConfig::default()).unwrap();
+        assert_eq!((scan.final_steps, scan.steps_frame), (500, 7));
+        let scan =
+            read(&["scan.final_steps=600".into()]).unwrap().section("scan", ScanConfig::default()).unwrap();
+        assert_eq!((scan.final_steps, scan.steps_frame), (600, 7));
+        for wrong in ["[scan]\nbatch_steps = 0\n", "[scan]\nfinal_stps = 1\n", "[scna]\n", "scan = 3\n"] {
+            std::fs::write(&own, wrong).unwrap();
+            let error = read(&[]).unwrap_err();
+            assert!(error.input().unwrap().path.ends_with("sms.toml"), "{error}");
+        }
     }
 
     #[test]

@@ -56,8 +56,11 @@ pub(crate) fn view_rows(views: &[ViewPair], dir: &Path) -> Result<String, CoreEr
             let path = dir.join(format!("view_{:03}_{name}.png", view.frame_index));
             let _ = write!(
                 html,
-                "<figure><img src=\"{}\" alt=\"{caption}\"><figcaption>{caption}</figcaption></figure>",
-                write_picture(&path, &picture)?
+                "<figure><img loading=\"lazy\" width=\"{}\" height=\"{}\" src=\"{}\" alt=\"{caption}, frame {}\"><figcaption>{caption}</figcaption></figure>",
+                picture.width,
+                picture.height,
+                write_picture(&path, &picture)?,
+                view.frame_index
             );
         }
         html.push_str("</div>");
@@ -98,7 +101,7 @@ mod tests {
             rendered_label: Image::filled(4, 2, 0),
         };
         let html = view_rows(&[view], dir.path()).unwrap();
-        assert_eq!(html.matches("data:image/png;base64,").count(), 7);
+        assert_eq!(html.matches("data:image/jpeg;base64,").count(), 7);
         assert!(html.contains("held out"));
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 7);
     }

@@ -137,7 +137,7 @@ fn table(html: &mut String, plan: &Plan, execution: Option<&Execution>) {
     }
     html.push_str("</table></div>");
     if has_worlds {
-        let realised = if realised.is_some() { " The red line is the realised value." } else { "" };
+        let realised = if realised.is_some() { " The orange line is the realised value." } else { "" };
         let _ = write!(
             html,
             "<p class=\"key\">Each stroke is one perturbed world that was not used for the choice. The bar spans 10 to 90 %, \

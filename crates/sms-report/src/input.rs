@@ -2,20 +2,27 @@
 
 use crate::figures::ViewPair;
 use crate::landing::LandingInput;
+use crate::photo::RecordedView;
 use sms_core::metrics::Metrics;
 use sms_core::{ColorImage, Warning};
 use sms_gaussians::{GaussianModel, LossSample};
 use sms_plan::Plan;
 use sms_scene::Scene;
 use sms_task::{Execution, Trajectory};
+use std::time::SystemTime;
 
-/// The data of a report. Results of stages that have not run are `None` or empty, and the page says so.
+/// The data of a report. Results of stages that have not run are `None` or empty; the page
+/// leaves their parts out.
 #[derive(Debug, Default)]
 pub struct ReportInput<'a> {
     /// Headline ("Billiards, seed 1").
     pub title: String,
     /// One line about the run: recording, masks, materials, engine.
     pub subtitle: String,
+    /// Recorded frames, the first one first: photographs, cameras of the 3-D view, and the floor's image.
+    pub recorded: Vec<RecordedView>,
+    /// Label → name of the objects of the masks, for pages without a scene.
+    pub names: Vec<(u16, String)>,
     /// Observed and rendered frames.
     pub views: Vec<ViewPair>,
     /// The Gaussians.
@@ -44,6 +51,10 @@ pub struct ReportInput<'a> {
     pub warnings: Vec<Warning>,
     /// `run.toml` as text.
     pub settings_toml: String,
+    /// Commands that make this run and this page.
+    pub commands: Vec<String>,
+    /// Time of writing.
+    pub written: Option<SystemTime>,
 }
 
 impl<'a> ReportInput<'a> {

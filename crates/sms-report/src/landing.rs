@@ -1,6 +1,6 @@
 //! The landing section: the approach from above, and the predicted and realised outcomes.
 
-use crate::html::action_table;
+use crate::html::{PREDICTED, REALISED, action_table};
 use crate::top_view::{TopOutline, TopPath, TopShape, TopView};
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{Mesh, escape_xml, length_text};
@@ -17,8 +17,6 @@ const SIZE: f64 = 760.0;
 /// Smallest displacement, metres, and rotation, radians, for which a body's final pose is drawn.
 const STILL_M: f64 = 0.005;
 const STILL_RAD: f64 = 0.02;
-const PLANNED: &str = "#1f5fd0";
-const REALISED: &str = "#1a9850";
 const WASH: &str = "#7fb7e6";
 /// Number of segments of a propeller's disk.
 const ROTOR_SEGMENTS: usize = 24;
@@ -147,15 +145,15 @@ pub(crate) fn landing_svg(scene: &Scene, landing: &LandingInput<'_>) -> Option<S
     let reach = plan.vehicle.rotors.iter().map(|p| p.truncate().length()).fold(0.0, f64::max);
     let blown = reach + plan.vehicle.rotor_radius + SPREADING_RATE * depth;
     let swath = TopPath { width: 2.0 * blown * scale, opacity: 0.28, ..TopPath::line(curve.clone(), WASH) };
-    let mut paths = vec![swath, TopPath { width: 4.0, ..TopPath::line(curve, PLANNED) }];
+    let mut paths = vec![swath, TopPath { width: 4.0, ..TopPath::line(curve, PREDICTED) }];
     let closed = |mut points: Vec<DVec2>, color: &str, dashed: bool| {
         points.extend(points.first().copied());
         TopPath { width: 2.0, dashed, ..TopPath::line(points, color) }
     };
-    paths.push(closed(vehicle_outline(plan, place), PLANNED, false));
+    paths.push(closed(vehicle_outline(plan, place), PREDICTED, false));
     for body in &bodies {
         if let Some(x_wb) = moved_to(&plan.nominal.trajectory, &body.name, body) {
-            paths.push(closed(outline_at(body, &x_wb), PLANNED, false));
+            paths.push(closed(outline_at(body, &x_wb), PREDICTED, false));
         }
     }
     if let Some(realised) = landing.realised {
@@ -193,7 +191,7 @@ fn legend(svg: &mut String, height: f64) {
         height - 30.0
     );
     for (x, color, dash, text) in
-        [(10.0, PLANNED, "", "planned"), (110.0, REALISED, " stroke-dasharray=\"7 5\"", "realised")]
+        [(10.0, PREDICTED, "", "planned"), (110.0, REALISED, " stroke-dasharray=\"7 5\"", "realised")]
     {
         let _ = write!(
             svg,
@@ -247,7 +245,7 @@ pub(crate) fn landing_section(landing: &LandingInput<'_>) -> String {
         e.sph,
         escape_xml(&plan.engine)
     );
-    html.push_str("<table><tr><th></th><th>wash</th><th>verdict</th><th>objective</th><th>landing error</th><th>tilt</th></tr>");
+    html.push_str("<div class=\"scroll\"><table><tr><th></th><th>wash</th><th>verdict</th><th>objective</th><th>landing error</th><th>tilt</th></tr>");
     row(&mut html, "predicted, scanned world", &plan.nominal);
     if let Some(r) = landing.realised {
         row(&mut html, &format!("realised, {}", r.engine), r.outcome);
@@ -255,7 +253,7 @@ pub(crate) fn landing_section(landing: &LandingInput<'_>) -> String {
             row(&mut html, "… with the second wash model", second);
         }
     }
-    html.push_str("</table>");
+    html.push_str("</table></div>");
     bodies_table(&mut html, landing);
     if let Some(p) = &plan.predicted {
         html.push_str(&prediction_text(p));
@@ -278,7 +276,7 @@ fn row(html: &mut String, name: &str, outcome: &LandingOutcome) {
 
 fn bodies_table(html: &mut String, landing: &LandingInput<'_>) {
     html.push_str(
-        "<table><tr><th>structure</th><th>predicted: moved, turned</th><th>largest wash force</th>\
+        "<div class=\"scroll\"><table><tr><th>structure</th><th>predicted: moved, turned</th><th>largest wash force</th>\
          <th>realised: moved, turned</th></tr>",
     );
     for change in &landing.plan.nominal.bodies {
@@ -291,14 +289,14 @@ fn bodies_table(html: &mut String, landing: &LandingInput<'_>) {
         };
         let _ = write!(
             html,
-            "<tr><td>{}</td><td>{}</td><td>{:.1} N</td><td>{}</td></tr>",
-            escape_xml(&change.body),
+            "<tr data-body=\"{name}\"><td>{name}</td><td>{}</td><td>{:.1} N</td><td>{}</td></tr>",
             text(change),
             change.wash_peak_n,
-            there.map_or_else(|| "–".to_owned(), text)
+            there.map_or_else(|| "–".to_owned(), text),
+            name = escape_xml(&change.body),
         );
     }
-    html.push_str("</table>");
+    html.push_str("</table></div>");
 }
 
 fn model(wash: WashModel) -> &'static str {

@@ -1,22 +1,31 @@
 //! The report page and its figures.
 //!
-//! [`write_report`] writes `report/index.html`: a self-contained page with the scan, the objects, the plan, predicted
-//! and realised outcomes, and a 3-D view. Its pictures are also written as PNG files.
+//! [`write_report`] writes `report/index.html`: a self-contained page with photographs, the objects and their names,
+//! the plan, predicted and realised outcomes, and a 3-D view. Its pictures are also written as PNG files.
 
 mod colormap;
+mod contour;
+mod date;
 mod figures;
+mod floor;
 mod forecast;
 mod html;
 mod input;
+mod labelled;
 mod landing;
 #[cfg(feature = "rerun")]
 mod live;
+mod objects;
 mod page;
+mod photo;
 #[cfg(feature = "rerun")]
 mod rerun_parts;
 #[cfg(feature = "rerun")]
 mod rrd;
 mod shot;
+mod splats;
+mod summary;
+mod textures;
 mod top_view;
 mod view3d;
 
@@ -27,6 +36,7 @@ pub use landing::{LandingInput, LandingRealised};
 #[cfg(feature = "rerun")]
 pub use live::{LiveError, LiveScan, Viewer};
 pub use page::write_report;
+pub use photo::RecordedView;
 #[cfg(feature = "rerun")]
 pub use rrd::{RrdError, write_rrd};
 pub use top_view::{TopOutline, TopPath, TopShape, TopView};

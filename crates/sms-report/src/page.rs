@@ -1,25 +1,46 @@
 //! Builds the report page.
 
+use crate::date::date_text;
 use crate::figures::view_rows;
 use crate::forecast::forecast_section;
-use crate::html::{action_table, write_picture};
+use crate::html::{PREDICTED, REALISED, action_table, write_picture};
 use crate::input::ReportInput;
-use crate::landing::{landing_section, landing_svg, predicted_card, verdict};
+use crate::labelled::photo_section;
+use crate::landing::{landing_section, landing_svg};
+use crate::objects::objects_section;
 use crate::shot::shot_svg;
-use crate::view3d::view_data;
+use crate::summary::{cards, result_sentence};
+use crate::view3d::{Detail, view_data};
 use serde_json::Value;
 use sms_core::metrics::Metrics;
-use sms_core::{ColorImage, CoreError, Warning, atomic, escape_xml, length_text};
+use sms_core::{ColorImage, CoreError, Warning, atomic, escape_xml};
 use sms_gaussians::LossSample;
-use sms_scene::{BodyKind, BodyShape};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 const TEMPLATE: &str = include_str!("../assets/page.html");
+const VIEWER_HTML: &str = include_str!("../assets/viewer.html");
 const STYLE: &str = include_str!("../assets/page.css");
-const VIEWER: &str = include_str!("../assets/viewer.js");
+const LINKS: &str = include_str!("../assets/page.js");
+/// The 3-D view; the last one uses the others.
+const VIEWER: [&str; 4] = [
+    include_str!("../assets/splats.js"),
+    include_str!("../assets/camera.js"),
+    include_str!("../assets/controls.js"),
+    include_str!("../assets/viewer.js"),
+];
 const THREE: &str = include_str!("../assets/three.bundle.js");
 const THREE_LICENSE: &str = include_str!("../assets/three.LICENSE");
+
+/// Largest size of the page, bytes: what mail programs and code hosts accept and show.
+const LARGEST_PAGE: usize = 6_000_000;
+/// Contents of the 3-D view, from the fullest to the smallest; the page has the first that fits.
+const DETAILS: [Detail; 4] = [
+    Detail { splats: 60_000, texture_bytes: 1_800_000, views: 12 },
+    Detail { splats: 40_000, texture_bytes: 1_000_000, views: 8 },
+    Detail { splats: 20_000, texture_bytes: 500_000, views: 6 },
+    Detail { splats: 0, texture_bytes: 250_000, views: 3 },
+];
 
 /// Writes `index.html` and its pictures into `dir`; returns the page's path.
 ///
@@ -27,38 +48,60 @@ const THREE_LICENSE: &str = include_str!("../assets/three.LICENSE");
 /// [`CoreError`] if a file cannot be written.
 pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, CoreError> {
     let views = view_rows(&input.views, dir)?;
-    let (file, shot) = match (&input.landing, input.scene) {
-        (Some(landing), Some(scene)) => ("landing.svg", landing_svg(scene, landing)),
-        _ => ("shot.svg", shot_svg(input)),
-    };
-    if let Some(svg) = &shot {
-        atomic::write_bytes(&dir.join(file), svg.as_bytes())?;
-    }
     let pictures = choice_pictures(&input.pictures, dir)?;
-    // `</` would end the script element.
-    let data = view_data(input).to_string().replace("</", "<\\/");
-    let parts: [(&str, String); 17] = [
+    let plan = plan_section(input, dir)?;
+    let colors = format!(":root {{ --predicted: {PREDICTED}; --realised: {REALISED}; }}\n");
+    let parts: [(&str, String); 15] = [
         ("title", escape_xml(&input.title)),
         ("subtitle", escape_xml(&input.subtitle)),
-        ("style", STYLE.to_owned()),
+        ("style", colors + STYLE),
+        ("photo", photo_section(input)),
+        ("result", result_sentence(input)),
         ("cards", cards(input)),
-        ("shot", shot.unwrap_or_else(|| missing("scene", "simulate RUN"))),
-        ("from_above", if input.landing.is_some() { "The approach" } else { "The shot" }.to_owned()),
-        ("plan", input.landing.as_ref().map_or_else(|| plan_section(input), landing_section)),
+        ("objects", objects_section(input)),
+        ("plan", plan),
         ("pictures", pictures),
         ("forecast", forecast_section(input.plan, input.execution)),
-        ("objects", objects_table(input)),
-        ("views", if views.is_empty() { missing("rendered views", "scan DIR --out RUN") } else { views }),
-        ("losses", loss_curves(&input.losses)),
         ("warnings", warnings_list(&input.warnings)),
-        ("metrics", metrics_table(&input.metrics)),
-        ("settings", escape_xml(&input.settings_toml)),
-        ("data", data),
-        ("scripts", format!("<script>/*\n{THREE_LICENSE}*/\n{THREE}</script>\n<script>{VIEWER}</script>")),
+        ("views", section("Observed and rendered", &views)),
+        ("losses", section("Training", &loss_curves(&input.losses))),
+        ("details", details(input)),
+        ("footer", footer(input)),
     ];
+    let page = fill(TEMPLATE, &parts);
+    let page = with_viewer(&page, input);
     let path = dir.join("index.html");
-    atomic::write_bytes(&path, fill(TEMPLATE, &parts).as_bytes())?;
+    atomic::write_bytes(&path, page.as_bytes())?;
     Ok(path)
+}
+
+/// Adds the 3-D view if there is anything to show in it: as full as the page's size permits.
+fn with_viewer(page: &str, input: &ReportInput<'_>) -> String {
+    let script = |s: &str| format!("<script>{s}</script>\n");
+    if input.gaussians.is_none() && input.scene.is_none() {
+        let parts = [("viewer", String::new()), ("scripts", script(LINKS))];
+        return fill_late(page, &parts);
+    }
+    let three = format!("/*\n{THREE_LICENSE}*/\n{THREE}");
+    let code: String = [three.as_str(), LINKS].iter().chain(&VIEWER).map(|s| script(s)).collect();
+    let room = LARGEST_PAGE.saturating_sub(page.len() + VIEWER_HTML.len() + code.len() + 100);
+    // `</` would end the script element.
+    let mut candidates = DETAILS.iter().map(|d| view_data(input, d).to_string().replace("</", "<\\/"));
+    let mut data = candidates.next().unwrap_or_default();
+    for smaller in candidates {
+        if data.len() <= room {
+            break;
+        }
+        data = smaller;
+    }
+    let data = format!("<script type=\"application/json\" id=\"data\">{data}</script>\n");
+    fill_late(page, &[("viewer", VIEWER_HTML.to_owned()), ("scripts", data + &code)])
+}
+
+/// Replaces the two comments that stand for the 3-D view in the page, which are last in the template. Text of users is
+/// escaped, so that it contains no comments.
+fn fill_late(page: &str, parts: &[(&str, String); 2]) -> String {
+    parts.iter().fold(page.to_owned(), |page, (name, text)| page.replacen(&format!("<!--{name}-->"), text, 1))
 }
 
 /// Replaces each `{{name}}` in one pass, so that inserted text is not searched again.
@@ -78,84 +121,38 @@ fn fill(template: &str, parts: &[(&str, String)]) -> String {
     out
 }
 
-fn missing(what: &str, command: &str) -> String {
-    format!("<p class=\"missing\">No {what} yet. Run <code>sms {command}</code>.</p>")
+fn section(title: &str, content: &str) -> String {
+    if content.is_empty() { String::new() } else { format!("<section><h2>{title}</h2>{content}</section>") }
 }
 
-fn card(html: &mut String, label: &str, value: &str, note: &str, class: &str) {
-    let _ = write!(
-        html,
-        "<div class=\"card {class}\"><div class=\"label\">{}</div><div class=\"value\">{}</div><div \
-         class=\"note\">{}</div></div>",
-        escape_xml(label),
-        escape_xml(value),
-        escape_xml(note)
-    );
-}
-
-fn cards(input: &ReportInput<'_>) -> String {
+fn details(input: &ReportInput<'_>) -> String {
     let mut html = String::new();
-    let m = |key: &str| input.metrics.number(key);
-    if let Some(plan) = input.plan {
-        let unbelievable = plan.strategies.first().and_then(|s| s.failure_text());
-        let note = match (&plan.predicted, unbelievable) {
-            (Some(p), _) => format!(
-                "on average; within {} in 90 % of perturbed worlds, {} in the scanned one",
-                length_text(p.q90),
-                length_text(plan.objective)
-            ),
-            (None, Some(text)) => format!("in the scanned world; the plan {text}"),
-            _ if plan.is_nominal_only() => "in the scanned world; not tested in perturbed ones".to_owned(),
-            // Plans of earlier versions.
-            _ => format!("within {} in 90 % of perturbed worlds", length_text(plan.objective_q90)),
-        };
-        let value = plan.predicted.map_or(plan.objective, |p| p.mean);
-        card(&mut html, "Predicted miss", &length_text(value), &note, "main");
+    if input.metrics.iter().next().is_some() {
+        let _ = write!(
+            html,
+            "<details><summary>All metrics</summary>{}</details>",
+            metrics_table(&input.metrics)
+        );
     }
-    if let Some(e) = input.execution {
-        let class = if e.success { "main good" } else { "main bad" };
-        let verdict = if e.success { "success" } else { "missed" };
-        let rank = e.predicted.map_or_else(String::new, |p| format!(", {}", p.rank_text()));
-        let note = format!("{verdict}{rank}; in {}; chaos floor {}", e.engine, length_text(e.chaos_floor));
-        card(&mut html, "Realised miss", &length_text(e.objective), &note, class);
-    }
-    if let Some(landing) = &input.landing {
-        let (value, note) = predicted_card(landing.plan);
-        card(&mut html, "Predicted", &value, &note, "main");
-        if let Some(r) = landing.realised {
-            let (class, value) =
-                if r.outcome.is_success() { ("main good", "landed") } else { ("main bad", "failed") };
-            let text =
-                if r.outcome.is_success() { String::new() } else { format!("{}; ", verdict(r.outcome)) };
-            card(&mut html, "Realised", value, &format!("{text}in {}", r.engine), class);
-        }
-    }
-    if let Some(psnr) = m("scan.holdout_psnr_db").or(m("scan.train_psnr_db")) {
-        let held = m("scan.holdout_psnr_db").is_some();
-        let note = if held { "views held out of training" } else { "training views" };
-        card(&mut html, "Scan PSNR", &format!("{psnr:.1} dB"), note, "");
-    }
-    if let Some(mae) = m("scan.holdout_depth_mae_m").or(m("scan.train_depth_mae_m")) {
-        let median = m("scan.holdout_depth_median_m").or(m("scan.train_depth_median_m"));
-        let note =
-            median.map(|v| format!("mean; median {}", length_text(v))).unwrap_or_else(|| "mean".into());
-        card(&mut html, "Depth error", &length_text(mae), &note, "");
-    }
-    if let Some(n) = m("scan.gaussians") {
-        let note = m("scan.steps").map(|s| format!("{s:.0} training steps")).unwrap_or_default();
-        card(&mut html, "Gaussians", &format!("{n:.0}"), &note, "");
-    }
-    if let Some(scene) = input.scene {
-        let dynamic = scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic);
-        let spheres = dynamic.clone().filter(|b| matches!(b.shape, BodyShape::Sphere { .. })).count();
-        card(&mut html, "Objects", &dynamic.count().to_string(), &format!("{spheres} spheres"), "");
-    }
-    let seconds: f64 =
-        ["scan.seconds", "materialize.seconds", "plan.seconds"].iter().filter_map(|k| m(k)).sum();
-    if seconds > 0.0 {
-        card(&mut html, "Time", &format!("{seconds:.0} s"), "scan, materialize, plan", "");
+    if !input.settings_toml.is_empty() {
+        let text = escape_xml(&input.settings_toml);
+        let _ = write!(
+            html,
+            "<details><summary>Effective settings (run.toml)</summary><pre tabindex=\"0\">{text}</pre></details>"
+        );
     }
     html
+}
+
+fn footer(input: &ReportInput<'_>) -> String {
+    let date = input.written.map(|t| format!(" on {} (UTC)", date_text(t))).unwrap_or_default();
+    let mut html = format!("<p>Written by sms {}{date}.", env!("CARGO_PKG_VERSION"));
+    if !input.commands.is_empty() {
+        html.push_str(" Commands:</p><pre tabindex=\"0\">");
+        html.push_str(&escape_xml(&input.commands.join("\n")));
+        html.push_str("</pre><p>");
+    }
+    html + " This page is self-contained and works offline; the 3-D view uses three.js (MIT).</p>"
 }
 
 /// Writes the pictures as `choice_N.png` and returns the section that shows them; empty without pictures.
@@ -170,18 +167,39 @@ fn choice_pictures(pictures: &[(String, ColorImage)], dir: &Path) -> Result<Stri
         let text = escape_xml(text);
         let _ = write!(
             html,
-            "<figure><img style=\"max-width:100%\" alt=\"{text}\" src=\"{data}\">\
-             <figcaption>{text}</figcaption></figure>"
+            "<figure><img loading=\"lazy\" width=\"{}\" height=\"{}\" alt=\"{text}\" src=\"{data}\">\
+             <figcaption>{text}</figcaption></figure>",
+            image.width, image.height
         );
     }
     html.push_str("</div></section>");
     Ok(html)
 }
 
-fn plan_section(input: &ReportInput<'_>) -> String {
-    let Some(plan) = input.plan else {
-        return missing("plan", "plan RUN --task T.toml");
+/// Returns the section of the plan with its picture from above, which is also written as SVG; empty without a plan.
+fn plan_section(input: &ReportInput<'_>, dir: &Path) -> Result<String, CoreError> {
+    let (file, svg, title, text) = match (&input.landing, input.scene) {
+        (Some(landing), scene) => {
+            let svg = scene.and_then(|s| landing_svg(s, landing));
+            ("landing.svg", svg, "The approach from above", landing_section(landing))
+        }
+        _ => match action_text(input) {
+            Some(text) => ("shot.svg", shot_svg(input), "The shot from above", text),
+            None => return Ok(String::new()),
+        },
     };
+    if let Some(svg) = &svg {
+        atomic::write_bytes(&dir.join(file), svg.as_bytes())?;
+    }
+    let picture = svg.map(|svg| format!("<div><h2>{title}</h2>{svg}</div>")).unwrap_or_default();
+    Ok(format!(
+        "<section class=\"columns\" id=\"section-plan\">{picture}<div><h2>The plan</h2>{text}</div></section>"
+    ))
+}
+
+/// Returns the action and the effort of its search; `None` without a plan.
+fn action_text(input: &ReportInput<'_>) -> Option<String> {
+    let plan = input.plan?;
     let mut html = action_table(&plan.parameters, &plan.action.0, 4);
     let invalid = if plan.invalid > 0 {
         let why = plan.failure_text().map(|t| format!(" ({})", escape_xml(&t))).unwrap_or_default();
@@ -196,94 +214,20 @@ fn plan_section(input: &ReportInput<'_>) -> String {
         escape_xml(&plan.engine),
         plan.starts.len()
     );
-    html
-}
-
-fn objects_table(input: &ReportInput<'_>) -> String {
-    let Some(scene) = input.scene else {
-        return missing("objects", "materialize RUN");
-    };
-    let truth = input.metrics.iter().any(|(k, _)| k.starts_with("evaluate."));
-    let mut html = String::from(
-        "<table><tr><th></th><th>object</th><th>shape</th><th>material</th><th>mass</th><th>friction</th>\
-         <th>restitution</th><th>observed</th>",
-    );
-    if truth {
-        html.push_str("<th>error to the known model</th>");
-    }
-    html.push_str("</tr>");
-    for body in &scene.bodies {
-        let m = &body.material;
-        let shape = match &body.shape {
-            BodyShape::Sphere { radius } => format!("sphere, r = {:.2} mm", radius * 1e3),
-            BodyShape::Box { half_extents } => {
-                let [x, y, z] = (2e3 * *half_extents).to_array();
-                format!("box, {x:.1} × {y:.1} × {z:.1} mm")
-            }
-            BodyShape::Cylinder { radius, half_length } => {
-                format!("cylinder, r = {:.2} mm, {:.1} mm long", radius * 1e3, half_length * 2e3)
-            }
-            BodyShape::HalfSpace => "half space".into(),
-            BodyShape::Hulls { hulls } => format!("{} convex parts", hulls.len()),
-            BodyShape::TriMesh { mesh } => format!("static mesh, {} triangles", mesh.triangles.len()),
-        };
-        let role = input.roles.iter().find(|r| r.0 == body.name).map(|r| r.1.as_str());
-        let role = role.map(|r| format!(" <span class=\"tag\">{}</span>", escape_xml(r))).unwrap_or_default();
-        let mass = body.mass.map(|p| format!("{:.0} g", p.mass() * 1e3)).unwrap_or_else(|| "static".into());
-        let interval =
-            |v: sms_core::Interval| format!("{:.2} <small>[{:.2}, {:.2}]</small>", v.best, v.low, v.high);
-        let source = serde_json::to_value(m.density.source).ok();
-        let source = source.as_ref().and_then(Value::as_str).unwrap_or("");
-        let [r, g, b] = body.color;
-        let _ = write!(
-            html,
-            "<tr><td><span class=\"swatch\" style=\"background:rgb({r},{g},{b})\"></span></td><td>{}{role}</td>\
-             <td>{shape}</td><td>{} <small>({source})</small></td><td>{mass}</td><td>{}</td><td>{}</td>\
-             <td>{:.0} %</td>",
-            escape_xml(&body.name),
-            escape_xml(&m.class),
-            interval(m.friction.value),
-            interval(m.restitution.value),
-            100.0 * body.observed_share
-        );
-        if truth {
-            let _ = write!(html, "<td>{}</td>", truth_text(&input.metrics, &body.name));
-        }
-        html.push_str("</tr>");
-    }
-    html.push_str("</table>");
-    html
-}
-
-fn truth_text(metrics: &Metrics, name: &str) -> String {
-    let get = |key: &str| metrics.number(&format!("evaluate.{name}.{key}"));
-    let mut parts = Vec::new();
-    if let (Some(c), Some(r)) = (get("center_error_m"), get("radius_error_m")) {
-        parts.push(format!("centre {:.2} mm, radius {:.2} mm", c * 1e3, r * 1e3));
-    }
-    if let (Some(a), Some(f)) = (get("accuracy_median_m"), get("f1_2p5mm")) {
-        parts.push(format!("surface {:.2} mm median, F1 {f:.2} at 2.5 mm", a * 1e3));
-    }
-    if let Some(v) = get("volume_ratio") {
-        parts.push(format!("volume × {v:.2}"));
-    }
-    if let Some(c) = get("mass_center_error_m") {
-        parts.push(format!("mass centre {:.2} mm", c * 1e3));
-    }
-    parts.join("; ")
+    Some(html)
 }
 
 fn loss_curves(losses: &[LossSample]) -> String {
     if losses.len() < 2 {
-        return "<p class=\"missing\">No training curves.</p>".into();
+        return String::new();
     }
     let (w, h) = (760.0, 180.0);
     let last = losses.last().map_or(1, |l| l.step.max(1)) as f64;
-    let mut html = String::new();
+    let mut html = String::from("<div class=\"curves\">");
     let curves: [(&str, fn(&LossSample) -> f32, &str); 3] = [
         ("colour error (mean absolute)", |l| l.loss.color_l1, "#c77700"),
-        ("depth error (m)", |l| l.loss.depth, "#1f5fd0"),
-        ("total loss", |l| l.loss.total, "#555"),
+        ("depth error (m)", |l| l.loss.depth, "#3f7fae"),
+        ("total loss", |l| l.loss.total, "#808080"),
     ];
     for (name, value, color) in curves {
         let logs: Vec<f64> = losses.iter().map(|l| f64::from(value(l)).max(1e-6).log10()).collect();
@@ -298,8 +242,8 @@ fn loss_curves(losses: &[LossSample]) -> String {
             .collect();
         let _ = write!(
             html,
-            "<figure class=\"curve\"><svg viewBox=\"0 0 {w} {h}\"><polyline points=\"{}\" fill=\"none\" \
-             stroke=\"{color}\" stroke-width=\"1.5\"/><text x=\"4\" y=\"{:.0}\" font-size=\"13\" fill=\"#777\">0 to {last:.0} \
+            "<figure class=\"curve\"><svg viewBox=\"0 0 {w} {h}\" role=\"img\" aria-label=\"{name}\"><polyline points=\"{}\" fill=\"none\" \
+             stroke=\"{color}\" stroke-width=\"1.5\"/><text x=\"4\" y=\"{:.0}\" font-size=\"13\" class=\"soft\" fill=\"#666\">0 to {last:.0} \
              steps; {:.2e} to {:.2e}, log scale</text></svg><figcaption>{name}</figcaption></figure>",
             points.join(" "),
             h - 4.0,
@@ -307,30 +251,30 @@ fn loss_curves(losses: &[LossSample]) -> String {
             10f64.powf(high)
         );
     }
-    html
+    html + "</div>"
 }
 
 fn warnings_list(warnings: &[Warning]) -> String {
     if warnings.is_empty() {
-        return "<p>None.</p>".into();
+        return String::new();
     }
-    let mut html = String::from("<ul class=\"warnings\">");
+    let mut html = String::from("<section id=\"section-warnings\"><h2>Warnings</h2><ul class=\"warnings\">");
     for w in warnings {
         let times = if w.count > 1 { format!(" <small>({} times)</small>", w.count) } else { String::new() };
         let _ = write!(
             html,
-            "<li><b>{}</b>: {}{times} <i>{}</i></li>",
+            "<li><b>{}</b>: {}{times}<br><span class=\"cure\">{}</span></li>",
             escape_xml(&w.stage),
             escape_xml(&w.message),
             escape_xml(&w.cure)
         );
     }
-    html.push_str("</ul>");
+    html.push_str("</ul></section>");
     html
 }
 
 fn metrics_table(metrics: &Metrics) -> String {
-    let mut html = String::from("<table class=\"metrics\">");
+    let mut html = String::from("<div class=\"scroll\"><table class=\"metrics\">");
     for (key, value) in metrics.iter() {
         let shown = match value {
             Value::Number(n) => match n.as_f64() {
@@ -343,7 +287,7 @@ fn metrics_table(metrics: &Metrics) -> String {
         let _ =
             write!(html, "<tr><td><code>{}</code></td><td>{}</td></tr>", escape_xml(key), escape_xml(&shown));
     }
-    html.push_str("</table>");
+    html.push_str("</table></div>");
     html
 }
 
@@ -352,8 +296,9 @@ mod tests {
     use super::*;
     use glamx::{DPose3, DVec3};
     use sms_core::{MassProperties, Mesh};
+    use sms_gaussians::GaussianModel;
     use sms_plan::Plan;
-    use sms_scene::{Body, Scene, example_material, floor_body};
+    use sms_scene::{Body, BodyKind, BodyShape, Scene, example_material, floor_body};
     use sms_sim::BodyState;
     use sms_task::{Action, BodyTrack, Parameter, Trajectory};
 
@@ -434,13 +379,87 @@ mod tests {
         assert!(dir.path().join("shot.svg").exists());
     }
 
-    #[test]
-    fn an_empty_run_says_what_is_missing() {
+    fn written(input: &ReportInput<'_>) -> String {
         let dir = tempfile::tempdir().unwrap();
-        let page =
-            std::fs::read_to_string(write_report(dir.path(), &ReportInput::default()).unwrap()).unwrap();
-        for command in ["sms scan", "sms materialize", "sms plan", "sms simulate"] {
-            assert!(page.contains(command), "{command}");
-        }
+        let page = std::fs::read_to_string(write_report(dir.path(), input).unwrap()).unwrap();
+        assert!(page.len() <= LARGEST_PAGE, "{}", page.len());
+        page
+    }
+
+    #[test]
+    fn an_empty_run_says_what_is_missing_and_has_no_empty_parts() {
+        let page = written(&ReportInput::default());
+        assert!(page.contains("sms scan"));
+        assert!(!page.contains("id=\"canvas\"") && !page.contains("<section"), "no part without content");
+    }
+
+    #[test]
+    fn a_page_without_a_plan_shows_none_of_its_parts() {
+        let scene = scene();
+        let input = ReportInput { scene: Some(&scene), ..ReportInput::default() };
+        let dir = tempfile::tempdir().unwrap();
+        let page = std::fs::read_to_string(write_report(dir.path(), &input).unwrap()).unwrap();
+        assert!(page.contains("id=\"canvas\"") && page.contains("section-objects"));
+        assert!(
+            !page.contains("section-plan")
+                && !page.contains("from above")
+                && !page.contains("Predicted miss")
+        );
+        assert!(!dir.path().join("shot.svg").exists());
+    }
+
+    #[test]
+    fn photograph_objects_and_result_come_first_and_the_foot_names_the_command() {
+        let scene = scene();
+        let labels = sms_core::Image::filled(8, 6, 0);
+        let view = crate::RecordedView {
+            frame_index: 3,
+            held_out: false,
+            camera: sms_core::Camera::new(sms_core::Intrinsics::from_fov(8, 6, 1.0), DPose3::IDENTITY),
+            photo: sms_core::Image::filled(16, 12, [9, 9, 9]),
+            depth: sms_core::Image::filled(8, 6, 1.0),
+            labels,
+        };
+        let input = ReportInput {
+            scene: Some(&scene),
+            recorded: vec![view],
+            commands: vec!["sms report a<b>".into()],
+            written: Some(std::time::SystemTime::UNIX_EPOCH),
+            ..ReportInput::default()
+        };
+        let page = written(&input);
+        let order = ["section-photo", "id=\"result\"", "id=\"canvas\"", "section-objects", "<footer"];
+        let places: Vec<usize> =
+            order.iter().map(|p| page.find(p).unwrap_or_else(|| panic!("{p}"))).collect();
+        assert!(places.is_sorted(), "{places:?}");
+        assert!(page.contains("sms report a&lt;b&gt;") && page.contains("on 1970-01-01 (UTC)"));
+        assert!(page.contains(&format!("sms {}", env!("CARGO_PKG_VERSION"))));
+    }
+
+    #[test]
+    fn a_page_with_too_much_is_thinned() {
+        let n = 200_000usize;
+        let gaussians = GaussianModel {
+            // Positions and colours without a pattern.
+            positions_w: (0..n as u32)
+                .map(|i| [0u32, 1, 2].map(|k| (i.wrapping_mul(2_654_435_761) >> (8 * k) & 255) as f32).into())
+                .collect(),
+            rotations_wg: vec![glamx::Quat::IDENTITY; n],
+            scales: vec![glamx::Vec3::ONE; n],
+            opacities: vec![0.5; n],
+            colors: vec![[0.5; 3]; n],
+            labels: vec![0; n],
+            ..GaussianModel::default()
+        };
+        let settings_toml = "x".repeat(4_200_000);
+        let data = |input: &ReportInput<'_>| {
+            let page = written(input);
+            let start = page.find("id=\"data\">").unwrap() + 10;
+            let end = start + page[start..].find("</script>").unwrap();
+            serde_json::from_str::<Value>(&page[start..end]).unwrap()["splats"]["count"].as_u64().unwrap()
+        };
+        let all = ReportInput { gaussians: Some(&gaussians), ..ReportInput::default() };
+        let crowded = ReportInput { gaussians: Some(&gaussians), settings_toml, ..ReportInput::default() };
+        assert!(data(&all) > 40_000 && data(&crowded) <= 40_000);
     }
 }

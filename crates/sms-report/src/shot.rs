@@ -1,17 +1,25 @@
 //! Draws the planned shot from above, as SVG.
 
+use crate::html::{PREDICTED, REALISED};
 use crate::input::ReportInput;
 use crate::top_view::{TopOutline, TopPath, TopShape, TopView};
 use glamx::DVec2;
 use sms_mesh::outline::convex_outline;
 use sms_scene::{Body, BodyKind, BodyShape};
-use sms_task::Trajectory;
+use sms_task::{STRIKER, Trajectory};
 use std::fmt::Write;
 
 /// Length of the picture's longer side, pixels.
 const SIZE: f64 = 760.0;
 /// Smallest displacement that is drawn, metres.
 const STILL_M: f64 = 0.003;
+/// Empty space between a path and the border, metres.
+const MARGIN_M: f64 = 0.05;
+/// Largest growth of the picture for paths, as a share of its size on each side: a ball that rolls far away must not shrink
+/// the objects below half of their size.
+const LARGEST_GROWTH: f64 = 0.5;
+/// Height of the legend, pixels.
+const LEGEND_PX: f64 = 28.0;
 
 fn outline(body: &Body) -> TopOutline {
     let shape = match &body.shape {
@@ -32,11 +40,10 @@ fn path_of(trajectory: &Trajectory, name: &str) -> Vec<DVec2> {
     track.states.iter().map(|s| s.x_wb.translation.truncate()).collect()
 }
 
-/// Draws the picture; `None` without a scene.
+/// Draws the picture; `None` without a plan or a scene.
 pub(crate) fn shot_svg(input: &ReportInput<'_>) -> Option<String> {
-    let scene = input.scene?;
+    let (scene, plan) = (input.scene?, input.plan?);
     let dynamic: Vec<&Body> = scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic).collect();
-    let predicted = input.plan.map(|p| &p.trajectory);
     let realised = input.execution.map(|e| &e.trajectory);
     let target_name = |planner: &str| -> String {
         let matched = input.execution.and_then(|e| e.matches.iter().find(|m| m.0 == planner));
@@ -44,10 +51,11 @@ pub(crate) fn shot_svg(input: &ReportInput<'_>) -> Option<String> {
     };
     let mut paths = Vec::new();
     for body in &dynamic {
-        let color = path_color(input, &body.name);
-        for (trajectory, name, dashed) in
-            [(predicted, body.name.clone(), false), (realised, target_name(&body.name), true)]
-        {
+        let motions = [
+            (Some(&plan.trajectory), body.name.clone(), PREDICTED, false),
+            (realised, target_name(&body.name), REALISED, true),
+        ];
+        for (trajectory, name, color, dashed) in motions {
             let Some(points) = trajectory.map(|t| path_of(t, &name)).filter(|p| p.len() > 1) else {
                 continue;
             };
@@ -56,36 +64,67 @@ pub(crate) fn shot_svg(input: &ReportInput<'_>) -> Option<String> {
             }
         }
     }
-    if let Some(points) = predicted.map(|t| path_of(t, "striker")).filter(|p| p.len() > 1) {
-        paths.push(TopPath::sweep(&points));
-    }
-    let view = TopView {
+    let mut view = TopView {
         outlines: dynamic.iter().map(|b| outline(b)).collect(),
-        paths,
         goal_w: input.goal_w,
         names: true,
         size_px: SIZE,
         ..TopView::default()
     };
-    view.svg(legend)
-}
-
-fn path_color(input: &ReportInput<'_>, name: &str) -> &'static str {
-    match input.roles.iter().find(|r| r.0 == name).map(|r| r.1.as_str()) {
-        Some("target") => "#1f5fd0",
-        Some("cue") => "#c77700",
-        _ => "#777",
+    view.window_w = Some(window(view.window()?, &paths));
+    let strike = path_of(&plan.trajectory, STRIKER);
+    if strike.len() > 1 {
+        paths.push(TopPath::sweep(&strike));
     }
+    view.paths = paths;
+    view.svg(|svg, height| legend(svg, height, realised.is_some()))
 }
 
-fn legend(svg: &mut String, height: f64) {
-    let y = height - 14.0;
+/// Enlarges the region of the bodies so that the paths are inside, within limits.
+fn window((low, high): (DVec2, DVec2), paths: &[TopPath]) -> (DVec2, DVec2) {
+    let room = LARGEST_GROWTH * (high - low);
+    let points = || paths.iter().flat_map(|p| p.points_w.iter().copied());
+    let least = points().fold(low, |a, p| a.min(p - MARGIN_M)).max(low - room);
+    let most = points().fold(high, |a, p| a.max(p + MARGIN_M)).min(high + room);
+    (least, most)
+}
+
+fn legend(svg: &mut String, height: f64, is_executed: bool) {
+    let y = height - 0.5 * LEGEND_PX;
+    let width = if is_executed { 340 } else { 232 };
     let _ = write!(
         svg,
-        "<g font-size=\"14\" fill=\"#333\"><line x1=\"12\" x2=\"44\" y1=\"{y:.0}\" y2=\"{y:.0}\" stroke=\"#1f5fd0\" \
-         stroke-width=\"3\"/><text x=\"50\" y=\"{t:.0}\">predicted</text><line x1=\"134\" x2=\"166\" y1=\"{y:.0}\" \
-         y2=\"{y:.0}\" stroke=\"#1f5fd0\" stroke-width=\"3\" stroke-dasharray=\"7 5\"/><text x=\"172\" \
-         y=\"{t:.0}\">realised</text><text x=\"250\" y=\"{t:.0}\">grid 10 cm</text></g>",
-        t = y + 4.0
+        "<g font-size=\"14\" fill=\"#333\"><rect x=\"0\" y=\"{:.0}\" width=\"{width}\" height=\"{LEGEND_PX}\" \
+         fill=\"#f4f1ea\" fill-opacity=\"0.85\"/>",
+        height - LEGEND_PX
     );
+    let mut x = 12.0;
+    let lines = [(PREDICTED, "", "predicted"), (REALISED, " stroke-dasharray=\"7 5\"", "realised")];
+    for (color, dash, text) in lines.into_iter().take(1 + usize::from(is_executed)) {
+        let _ = write!(
+            svg,
+            "<line x1=\"{x:.0}\" x2=\"{:.0}\" y1=\"{y:.0}\" y2=\"{y:.0}\" stroke=\"{color}\" stroke-width=\"3\"{dash}/>\
+             <text x=\"{:.0}\" y=\"{:.0}\">{text}</text>",
+            x + 32.0,
+            x + 38.0,
+            y + 4.0
+        );
+        x += 122.0;
+    }
+    let _ = write!(svg, "<text x=\"{x:.0}\" y=\"{:.0}\">grid 10 cm</text></g>", y + 4.0);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_inside_the_picture_unless_they_would_shrink_it_too_much() {
+        let path = |x: f64| TopPath::line(vec![DVec2::ZERO, DVec2::new(x, 0.0)], PREDICTED);
+        let bodies = (DVec2::ZERO, DVec2::ONE);
+        assert_eq!(window(bodies, &[]), bodies);
+        assert_eq!(window(bodies, &[path(1.2)]).1, DVec2::new(1.25, 1.0));
+        assert_eq!(window(bodies, &[path(-0.2)]).0, DVec2::new(-0.25, -0.05));
+        assert_eq!(window(bodies, &[path(9.0)]).1, DVec2::new(1.5, 1.0));
+    }
 }

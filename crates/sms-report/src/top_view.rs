@@ -1,11 +1,16 @@
 //! A scene from above, as SVG: outlines, paths, a goal.
 
+use crate::html::rgb;
 use glamx::DVec2;
 use serde::{Deserialize, Serialize};
+use sms_core::escape_xml;
 use std::fmt::Write;
 
 const MARGIN_M: f64 = 0.15;
 const BACKGROUND: &str = "#f4f1ea";
+/// Height of names, pixels, and the mean width of a character as a share of it.
+const NAME_PX: f64 = 15.0;
+const CHARACTER: f64 = 0.58;
 
 /// Outline of a body in the xy plane of the world, metres.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -95,7 +100,7 @@ pub struct TopView {
     pub goal_w: Option<[f64; 2]>,
     /// Whether the names of the bodies are shown.
     pub names: bool,
-    /// Title in the upper left corner.
+    /// Title in the upper left corner, as SVG text.
     pub title: String,
     /// The visible region, metres; by default all outlines and the goal, with a margin. Paths do not extend it, because
     /// balls may roll far beyond the goal.
@@ -199,6 +204,8 @@ impl SvgCanvas {
 
     fn outline(&self, svg: &mut String, outline: &TopOutline, named: bool) {
         let fill = rgb(outline.color);
+        let name = escape_xml(&outline.name);
+        let _ = write!(svg, "<g class=\"body\" data-body=\"{name}\"><title>{name}</title>");
         match &outline.shape {
             TopShape::Disc { center_w, radius } => {
                 let c = self.at((*center_w).into());
@@ -227,14 +234,18 @@ impl SvgCanvas {
         }
         if let Some((low, high)) = outline.bounds().filter(|_| named) {
             let c = self.at(0.5 * (low + high));
+            // The whole name stays inside the picture.
+            let (w, h) = (self.size.x * self.scale, self.size.y * self.scale);
+            let half = (0.5 * CHARACTER * NAME_PX * outline.name.chars().count() as f64).min(0.5 * w);
+            let (x, y) = (c.x.clamp(half, w - half), (c.y + 4.0).clamp(NAME_PX.min(h), h));
             let _ = write!(
                 svg,
-                "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"15\" text-anchor=\"middle\" fill=\"#222\" \
-                 stroke=\"{BACKGROUND}\" stroke-width=\"3\" paint-order=\"stroke\">{}</text>",
-                c.x,
-                c.y + 4.0,
-                outline.name
+                "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"{NAME_PX}\" text-anchor=\"middle\" fill=\"#222\" \
+                 stroke=\"{BACKGROUND}\" stroke-width=\"3\" paint-order=\"stroke\">{}</text></g>",
+                escape_xml(&outline.name)
             );
+        } else {
+            svg.push_str("</g>");
         }
     }
 
@@ -272,10 +283,6 @@ impl SvgCanvas {
             path.opacity
         );
     }
-}
-
-fn rgb(c: [u8; 3]) -> String {
-    format!("rgb({},{},{})", c[0], c[1], c[2])
 }
 
 #[cfg(test)]

@@ -1,43 +1,76 @@
 //! Data of the interactive 3-D view: JSON with binary buffers in base64.
 
+use crate::floor::floor_image;
 use crate::html::base64_of;
 use crate::input::ReportInput;
 use crate::landing::{planner_name, with_vehicle};
+use crate::photo::{RecordedView, photo_address};
+use crate::splats::splats_value;
+use crate::textures::{fitting, texture_addresses};
+use glamx::DPose3;
 use serde_json::{Value, json};
-use sms_core::Mesh;
+use sms_core::{BACKGROUND, Mesh, MeshTexture};
 use sms_scene::{Body, BodyShape};
 use sms_task::Trajectory;
 
-/// Largest number of Gaussians shown as points; more are thinned evenly.
-const MAX_POINTS: usize = 60_000;
+/// How much the view contains.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Detail {
+    /// Largest number of Gaussians; more are thinned evenly.
+    pub splats: usize,
+    /// Largest size of all textures of bodies, bytes.
+    pub texture_bytes: usize,
+    /// Largest number of recorded views.
+    pub views: usize,
+}
 
 fn floats(values: impl IntoIterator<Item = f64>) -> String {
     let bytes: Vec<u8> = values.into_iter().flat_map(|v| (v as f32).to_le_bytes()).collect();
     base64_of(&bytes)
 }
 
-fn mesh_value(mesh: &Mesh) -> Value {
-    let triangles: Vec<u8> = mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes()).collect();
-    let colors = (mesh.colors.len() == mesh.vertices.len() && !mesh.colors.is_empty())
+fn shorts(values: impl IntoIterator<Item = u16>) -> String {
+    let bytes: Vec<u8> = values.into_iter().flat_map(u16::to_le_bytes).collect();
+    base64_of(&bytes)
+}
+
+/// Encodes vertices (f32), triangles (u16 or u32, as `wide` says), and colours or texture coordinates (u16, 65535 is 1).
+fn mesh_value(mesh: &Mesh, texture: Option<&MeshTexture>) -> Value {
+    let indices = || mesh.triangles.iter().flatten();
+    let narrow: Option<Vec<u16>> = indices().map(|&i| u16::try_from(i).ok()).collect();
+    let wide = || base64_of(&indices().flat_map(|i| i.to_le_bytes()).collect::<Vec<u8>>());
+    let is_wide = narrow.is_none();
+    let colors = (texture.is_none() && mesh.colors.len() == mesh.vertices.len() && !mesh.colors.is_empty())
         .then(|| base64_of(mesh.colors.as_flattened()));
+    let short = |v: &f32| (65535.0 * v.clamp(0.0, 1.0)).round() as u16;
     json!({
         "v": floats(mesh.vertices.iter().flat_map(|p| p.to_array())),
-        "t": base64_of(&triangles),
+        "t": narrow.map_or_else(wide, shorts),
+        "wide": is_wide,
         "c": colors,
+        "uv": texture.map(|t| shorts(t.corner_uv.as_flattened().as_flattened().iter().map(short))),
     })
 }
 
-fn body_value(body: &Body) -> Value {
-    let t = body.x_wb.translation;
-    let q = body.x_wb.rotation;
-    let parts: Vec<Value> = body.shape.meshes().iter().map(mesh_value).collect();
+fn pose_value(pose: &DPose3) -> Value {
+    let (t, q) = (pose.translation, pose.rotation);
+    json!([t.x, t.y, t.z, q.x, q.y, q.z, q.w])
+}
+
+fn body_value(body: &Body, picture: Option<&String>, role: Option<&str>) -> Value {
+    let texture = picture.and(body.texture.as_ref()).and_then(|t| fitting(&body.visual, t));
+    let parts: Vec<Value> = body.shape.meshes().iter().map(|m| mesh_value(m, None)).collect();
+    let visual = (!body.visual.triangles.is_empty()).then(|| mesh_value(&body.visual, texture));
     json!({
         "name": body.name,
+        "role": role,
         "kind": body.kind,
         "color": body.color,
-        "pose": [t.x, t.y, t.z, q.x, q.y, q.z, q.w],
+        "label": (body.label != BACKGROUND).then(|| sms_masks::label_color(body.label)),
+        "pose": pose_value(&body.x_wb),
         "floor": matches!(body.shape, BodyShape::HalfSpace),
-        "visual": (!body.visual.triangles.is_empty()).then(|| mesh_value(&body.visual)),
+        "visual": visual,
+        "picture": picture,
         "parts": parts,
     })
 }
@@ -55,33 +88,105 @@ fn trajectory_value(trajectory: &Trajectory, rename: impl Fn(&str) -> Option<Str
     json!({ "times": floats(trajectory.times_s.iter().copied()), "bodies": bodies })
 }
 
-/// Returns the data for the page's script.
-pub(crate) fn view_data(input: &ReportInput<'_>) -> Value {
-    let points = input.gaussians.map(|g| {
-        let stride = g.len().div_ceil(MAX_POINTS).max(1);
-        let chosen: Vec<usize> = (0..g.len()).step_by(stride).collect();
-        let colors: Vec<u8> = chosen
-            .iter()
-            .flat_map(|&i| g.colors[i].map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8))
-            .collect();
-        let labels: Vec<u8> = chosen.iter().flat_map(|&i| sms_masks::label_color(g.labels[i])).collect();
-        json!({
-            "pos": floats(chosen.iter().flat_map(|&i| g.positions_w[i].to_array().map(f64::from))),
-            "size": floats(chosen.iter().map(|&i| {
-                let [(_, a), (_, b)] = g.disc(i).1;
-                f64::from((a * b).sqrt())
-            })),
-            "col": base64_of(&colors),
-            "lab": base64_of(&labels),
+/// Encodes the cameras and photographs. The first photograph is already in the page.
+fn views_value(views: &[RecordedView], limit: usize) -> Vec<Value> {
+    let stride = views.len().div_ceil(limit.max(1)).max(1);
+    let chosen = views.iter().enumerate().step_by(stride);
+    chosen
+        .map(|(k, view)| {
+            let i = view.camera.intrinsics;
+            json!({
+                "frame": view.frame_index,
+                "held_out": view.held_out,
+                "pose": pose_value(&view.camera.x_wc),
+                "lens": [i.width as f64, i.height as f64, i.fx, i.fy, i.cx, i.cy],
+                "photo": (k > 0).then(|| photo_address(&view.photo)),
+            })
         })
-    });
+        .collect()
+}
+
+fn floor_value(input: &ReportInput<'_>) -> Option<Value> {
+    let body = input.scene?.bodies.iter().find(|b| matches!(b.shape, BodyShape::HalfSpace))?;
+    let floor = floor_image(&input.recorded, &body.x_wb)?;
+    Some(json!({
+        "low": floor.low,
+        "high": floor.high,
+        "mean": floor.mean,
+        "picture": photo_address(&floor.image),
+    }))
+}
+
+/// Returns the data for the page's script.
+pub(crate) fn view_data(input: &ReportInput<'_>, detail: &Detail) -> Value {
     let scene = input.scene.map(|s| with_vehicle(s, input.landing.as_ref()));
+    let bodies = scene.as_deref().map(|s| s.bodies.as_slice()).unwrap_or_default();
+    let pictures = texture_addresses(bodies, detail.texture_bytes);
+    let role = |name: &str| input.roles.iter().find(|r| r.0 == name).map(|r| r.1.as_str());
+    let bodies: Vec<Value> =
+        bodies.iter().zip(&pictures).map(|(b, p)| body_value(b, p.as_ref(), role(&b.name))).collect();
     json!({
-        "points": points,
-        "bodies": scene.map(|s| s.bodies.iter().map(body_value).collect::<Vec<_>>()).unwrap_or_default(),
+        "splats": input.gaussians.and_then(|g| splats_value(g, detail.splats)),
+        "bodies": bodies,
+        "floor": floor_value(input),
+        "views": views_value(&input.recorded, detail.views),
         "goal": input.goal_w,
         "striker": input.striker_half_m,
         "predicted": input.predicted().map(|t| trajectory_value(t, |n| Some(n.to_owned()))),
         "realised": input.realised().map(|(t, matches)| trajectory_value(t, |n| planner_name(matches, n))),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DVec3;
+    use sms_core::Image;
+    use sms_scene::{Scene, example_material, floor_body};
+
+    const ALL: Detail = Detail { splats: 100, texture_bytes: usize::MAX, views: 12 };
+
+    fn scene(texture: Option<MeshTexture>) -> Scene {
+        let mut visual = Mesh::cuboid(DVec3::splat(0.05));
+        visual.colors = vec![[1, 2, 3]; 8];
+        let duck =
+            Body { name: "duck".into(), label: 3, visual, texture, ..floor_body(0.0, example_material()) };
+        let bodies = vec![
+            floor_body(0.0, example_material()),
+            Body { shape: BodyShape::Sphere { radius: 0.1 }, ..duck },
+        ];
+        Scene {
+            version: 1,
+            name: "t".into(),
+            gravity_w: DVec3::NEG_Z * 9.81,
+            x_world_recording: DPose3::IDENTITY,
+            bodies,
+        }
+    }
+
+    #[test]
+    fn a_textured_body_is_sent_with_its_picture_and_others_with_their_colours() {
+        let image = Image::filled(16, 16, [200, 100, 50]);
+        let texture = MeshTexture { corner_uv: vec![[[0.0, 1.0], [0.5, 0.5], [1.0, 0.0]]; 12], image };
+        let textured = scene(Some(texture));
+        let input = ReportInput { scene: Some(&textured), ..ReportInput::default() };
+        let value = view_data(&input, &ALL);
+        let body = &value["bodies"][1];
+        assert!(body["picture"].as_str().unwrap().starts_with("data:image/jpeg;base64,"));
+        // 12 triangles, three corners, two numbers of two bytes.
+        assert_eq!(body["visual"]["uv"].as_str().unwrap().len(), (12 * 3 * 2 * 2) / 3 * 4);
+        assert!(body["visual"]["c"].is_null() && body["visual"]["wide"] == false);
+        assert_eq!(body["label"], json!(sms_masks::label_color(3)));
+        assert!(value["bodies"][0]["label"].is_null(), "the floor is no object");
+
+        // Without room for pictures, and without a texture, the colours of the vertices are sent.
+        let plain = scene(None);
+        let untextured = ReportInput { scene: Some(&plain), ..ReportInput::default() };
+        let small = Detail { texture_bytes: 10, ..ALL };
+        for value in [view_data(&input, &small), view_data(&untextured, &ALL)] {
+            let body = &value["bodies"][1];
+            assert!(body["picture"].is_null() && body["visual"]["uv"].is_null());
+            assert_eq!(body["visual"]["c"].as_str().unwrap().len(), 32);
+        }
+    }
 }

@@ -12,9 +12,19 @@ pub(crate) fn run(console: &Console, a: &MaterialsArguments) -> anyhow::Result<(
     if console.json {
         return console.print_json(&found.metrics());
     }
-    console.say(listing(&found.objects, &found.materials));
+    if !found.objects.is_empty() {
+        console.say(listing(found.shown()));
+    }
     if !a.set.is_empty() || !a.unset.is_empty() {
         console.say(format!("  in {}", found.edits.display()));
+    }
+    if !found.unused.is_empty() {
+        console.say(format!(
+            "the scene has no body {}: `sms materials {} --unset {}` removes these values",
+            found.unused.join(", "),
+            a.run.display(),
+            found.unused.join(" --unset ")
+        ));
     }
     if !found.changed.is_empty() {
         console.say(format!(
@@ -27,9 +37,9 @@ pub(crate) fn run(console: &Console, a: &MaterialsArguments) -> anyhow::Result<(
 }
 
 /// Formats a table with one line per value.
-fn listing(objects: &[ObjectQuery], materials: &[Material]) -> String {
+fn listing<'a>(objects: impl Iterator<Item = (&'a ObjectQuery, &'a Material)>) -> String {
     let mut out = String::new();
-    for (object, material) in objects.iter().zip(materials) {
+    for (object, material) in objects {
         let called = object.estimate.as_ref().map_or(&object.description, |e| &e.label);
         let called =
             if called.is_empty() || *called == object.name { String::new() } else { format!(" ({called})") };
@@ -101,7 +111,7 @@ mod tests {
             ..Default::default()
         }];
         let materials = assign(&objects, &MaterialTable::builtin(), None, &Warnings::new()).unwrap();
-        let text = listing(&objects, &materials);
+        let text = listing(objects.iter().zip(&materials));
         assert!(text.starts_with("m (mug): ceramic\n"), "{text}");
         for words in ["2400", "[2000 – 2700]", "kg/m³", "table", "fill_factor", "0.375", "7e10", "0.36"] {
             assert!(text.contains(words), "{words}: {text}");

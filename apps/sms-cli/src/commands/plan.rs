@@ -3,7 +3,7 @@
 use super::{landing, objective_reference};
 use crate::cli;
 use sms_cli::front::Console;
-use sms_core::{Seed, length_text};
+use sms_core::{Seed, judge_success, length_text};
 use sms_pipeline::{PlanRequest, PlannedTask, Run};
 use sms_plan::Plan;
 
@@ -42,12 +42,13 @@ fn summary(plan: &Plan) -> Vec<String> {
     match &plan.predicted {
         Some(p) => lines.push(format!(
             "  predicted {} {reference} on average (within {} in 90 % of worlds), {} in the scanned world; success in {:.0} % of \
-             {} worlds",
+             {} worlds: {}",
             length_text(p.mean),
             length_text(p.q90),
             length_text(plan.objective),
             100.0 * p.success_share,
-            p.worlds
+            p.worlds,
+            judge_success(p.success_share).grade
         )),
         None => {
             let failure = plan.strategies.first().and_then(|s| s.failure_text());

@@ -18,6 +18,8 @@ pub(crate) fn run(console: &Console, a: &SampleArguments) -> anyhow::Result<()> 
     write_task_files(&truth, &a.folder)?;
     let folder = a.folder.display();
     console.say(format!("wrote a recording of {} objects to {folder}; next steps:", truth.objects.len()));
+    console.say(format!("  sms run {folder} --out my-run --preset draft --task {folder}/task.toml"));
+    console.say("or stage by stage:");
     console.say(format!("  sms check {folder}"));
     console.say(format!("  sms scan {folder} --out my-run --preset draft --holdout 8"));
     console.say("  sms materialize my-run");

@@ -3,7 +3,7 @@
 use crate::cli::ScanArguments;
 use crate::live::Watch;
 use sms_cli::front::{Console, PresetName, RefinePoses};
-use sms_core::{InputError, Seed, length_text};
+use sms_core::{InputError, Seed, judge_depth_error, judge_psnr, length_text};
 use sms_pipeline::{Run, ScanOutcome, ScanRequest};
 
 pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
@@ -37,21 +37,23 @@ fn direction(values: &[f64]) -> Result<[f64; 3], InputError> {
 fn summary(console: &Console, run: &Run<'_>, outcome: &ScanOutcome) -> anyhow::Result<()> {
     let m = run.metrics()?;
     let n = |key: &str| m.number(key);
-    let mut line = format!(
+    console.say(format!(
         "scan: {} Gaussians from {} frames, {} objects",
         n("scan.gaussians").unwrap_or(0.0),
         n("scan.frames").unwrap_or(0.0),
         outcome.objects
-    );
-    if let Some(psnr) = n("scan.holdout_psnr_db") {
-        line += &format!(", {psnr:.1} dB on held-out views");
-    } else if let Some(psnr) = n("scan.train_psnr_db") {
-        line += &format!(", {psnr:.1} dB");
+    ));
+    let (held_out, trained) = ("on held-out views", "on the views of the training");
+    let figure = |name: &str| {
+        let of = |views: &str| n(&format!("scan.{views}_{name}"));
+        of("holdout").map(|v| (v, held_out)).or_else(|| of("train").map(|v| (v, trained)))
+    };
+    if let Some((db, views)) = figure("psnr_db") {
+        console.say(format!("  colour {db:.1} dB {views}: {}", judge_psnr(db)));
     }
-    if let Some(depth) = n("scan.holdout_depth_mae_m") {
-        line += &format!(", depth error {}", length_text(depth));
+    if let Some((error, views)) = figure("depth_mae_m") {
+        console.say(format!("  depth error {} {views}: {}", length_text(error), judge_depth_error(error)));
     }
-    console.say(line);
     console.say(format!("  in {}", outcome.gaussians.display()));
     Ok(())
 }

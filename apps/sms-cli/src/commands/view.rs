@@ -16,7 +16,10 @@ pub(crate) fn run(console: &Console, a: &ReportArguments) -> anyhow::Result<()> 
     let page = std::path::absolute(&page)?;
     let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     if let Err(reason) = open(opener, &page) {
-        eprintln!("warning: no browser was opened ({reason}); open this page yourself:\n  {}", file_url(&page));
+        eprintln!(
+            "warning: no browser was opened ({reason}); open this page yourself:\n  {}",
+            file_url(&page)
+        );
     }
     Ok(())
 }

@@ -2,15 +2,20 @@
 
 use super::arguments::{Common, ProgressKind};
 use super::bars::Bars;
+use super::warning_text::{warning_line, warning_lines};
 use anyhow::Context as _;
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, JsonProgress, NoProgress, PlainProgress, Progress, Warning};
 use sms_pipeline::{Context, Event, EventSink, Run, Settings};
 use std::io::{IsTerminal, Write};
+use std::path::Path;
 use std::time::Duration;
 
 /// Smallest time between two updates of `--progress json`.
 const JSON_EVERY: Duration = Duration::from_millis(100);
+
+/// File of settings in the working folder, below those of `--settings`.
+const OWN_SETTINGS: &str = "sms.toml";
 
 /// One invocation of a program: its context and its output options.
 pub struct Console {
@@ -23,7 +28,8 @@ pub struct Console {
 }
 
 impl Console {
-    /// Starts the thread pool, listens for Ctrl-C and reads the settings.
+    /// Starts the thread pool, listens for Ctrl-C and reads the settings: `sms.toml` of the working folder, then the
+    /// file and the values of the arguments.
     ///
     /// # Errors
     /// If threads or the handler cannot be started, or for invalid settings.
@@ -56,8 +62,13 @@ impl Console {
             ProgressKind::Json => Box::new(JsonProgress::new(JSON_EVERY)),
             ProgressKind::None => Box::new(NoProgress),
         };
-        let settings = Settings::read(common.settings.as_deref(), &common.assignments)?;
-        let events = Box::new(Printer { json: common.json });
+        let own = Some(Path::new(OWN_SETTINGS)).filter(|path| path.is_file());
+        if own.is_some() && !matches!(kind, ProgressKind::None | ProgressKind::Json) {
+            eprintln!("settings of {OWN_SETTINGS} are used");
+        }
+        let files: Vec<&Path> = own.into_iter().chain(common.settings.as_deref()).collect();
+        let settings = Settings::read_layers(&files, &common.assignments)?;
+        let events = Box::new(Printer { json: common.json, one_line: kind == ProgressKind::Json });
         let context = Context { progress, cancel, settings, force: common.force, events };
         Ok(Self { context, part_of_a_flow, json: common.json })
     }
@@ -105,6 +116,8 @@ impl Console {
 /// Prints the pipeline's events: messages on standard output, warnings on standard error.
 struct Printer {
     json: bool,
+    /// Whether a warning is one line among the lines of JSON.
+    one_line: bool,
 }
 
 impl EventSink for Printer {
@@ -113,9 +126,10 @@ impl EventSink for Printer {
             Event::Message(text) if !self.json => drop(writeln!(std::io::stdout(), "{text}")),
             Event::Alert(text) if !self.json => eprintln!("warning: {text}"),
             Event::Warning(w) => {
-                let times = if w.count > 1 { format!(" ({} times)", w.count) } else { String::new() };
-                let cure = if w.cure.is_empty() { String::new() } else { format!("; {}", w.cure) };
-                eprintln!("warning: {}{times}{cure}", w.message);
+                eprintln!("{}", if self.one_line { warning_line(w) } else { warning_lines(w) });
+            }
+            Event::Stage { name, is_cached: true } if !self.json => {
+                drop(writeln!(std::io::stdout(), "{name}: up to date"));
             }
             Event::Message(_) | Event::Alert(_) | Event::Stage { .. } => {}
         }

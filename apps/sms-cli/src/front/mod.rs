@@ -27,6 +27,7 @@ mod bars;
 mod console;
 pub mod failure;
 mod values;
+mod warning_text;
 
 pub use arguments::{Common, ProgressKind};
 pub use console::Console;

@@ -2,9 +2,13 @@
 
 mod common;
 mod faults;
+mod flow;
+mod help;
 mod landing;
+mod manual;
 mod masks;
 mod materials;
 mod robot;
+mod stale;
 #[cfg(unix)]
 mod view;

@@ -79,6 +79,7 @@ fn values_are_listed_changed_and_taken_back() {
     let list =
         text(&materials(run, &["--set", "object_01.friction=0.3,0.2,0.4", "--set", "object_01.mass_kg=0.5"]));
     assert!(list.contains("[0.2 – 0.4]") && list.contains("user"), "{list}");
+    assert!(!list.contains("floor"), "only the changed object is listed: {list}");
     assert!(list.contains("other values for object_01: run `sms materialize"), "{list}");
     let m = json(run, &[]);
     assert!((m["materials.object_01.mass_kg"].as_f64().unwrap() - 0.5).abs() < 1e-12);

@@ -38,7 +38,7 @@ pub use config::{Preset, PruningConfig, ScanConfig, SeedingConfig, StopConfig};
 pub use error::ScanError;
 pub use evaluate::ViewScore;
 pub use losses::LossSample;
-pub use observer::{BatchDone, ScanObserver, SlotDone};
+pub use observer::{BatchDone, ScanObserver, ScanResumed, SlotDone};
 pub use ply::{read_ply, write_ply};
 pub use schedule::{ScanResult, scan};
 pub use stages::StageSeconds;

@@ -8,6 +8,11 @@ use sms_frames::Frame;
 /// Receives the progress of a scan. Observers cannot change the result. Calls come from the scanning thread and
 /// should be short.
 pub trait ScanObserver {
+    /// The scan continues an interrupted one. Called before the first batch.
+    fn resumed(&mut self, resumed: &ScanResumed) {
+        let _ = resumed;
+    }
+
     /// A batch of steps was taken.
     fn batch(&mut self, batch: &BatchDone) {
         let _ = batch;
@@ -21,6 +26,17 @@ pub trait ScanObserver {
 
 /// No observer.
 impl ScanObserver for () {}
+
+/// The position at which a scan is resumed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ScanResumed {
+    /// Index of the frame among those trained on; their number in the refinement.
+    pub slot: usize,
+    /// Number of frames trained on.
+    pub frames: usize,
+    /// Steps since the start of the scan.
+    pub steps: u64,
+}
 
 /// A batch of steps.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -13,7 +13,7 @@ use super::evaluate::ViewScore;
 use super::frames::{check_inputs, train_frame};
 use super::fusion::fuse;
 use super::losses::{LossSample, stalled};
-use super::observer::ScanObserver;
+use super::observer::{ScanObserver, ScanResumed};
 use super::pace::Pace;
 use super::pruning::{prune_all, prune_transparent};
 use super::saving::Saver;
@@ -165,6 +165,8 @@ impl Schedule<'_> {
                     self.place = place;
                     self.so_far.resume(STAGE, self.warnings);
                     self.recall_pace();
+                    let (slot, frames, steps) = (self.place.slot, self.trained.len(), self.place.total_steps);
+                    self.observer.resumed(&ScanResumed { slot, frames, steps });
                     return;
                 }
                 Err(error) => error.to_string(),

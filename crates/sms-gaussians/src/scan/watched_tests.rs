@@ -1,7 +1,7 @@
 //! Reports of a running scan: progress, observers, and time and warnings over several attempts.
 
 use super::fixture::{SMALL, record};
-use super::observer::{BatchDone, ScanObserver, SlotDone};
+use super::observer::{BatchDone, ScanObserver, ScanResumed, SlotDone};
 use super::schedule::{ScanResult, scan};
 use super::tests::{SEED, bytes, quick};
 use super::{ScanConfig, ScanError};
@@ -38,9 +38,14 @@ struct Notes {
     batches: Vec<BatchDone>,
     /// Slot, frame, PSNR, number of Gaussians, number of rendered pixels.
     slots: Vec<(usize, usize, f64, usize, usize)>,
+    resumed: Vec<ScanResumed>,
 }
 
 impl ScanObserver for Notes {
+    fn resumed(&mut self, resumed: &ScanResumed) {
+        self.resumed.push(*resumed);
+    }
+
     fn batch(&mut self, batch: &BatchDone) {
         self.batches.push(*batch);
     }
@@ -85,6 +90,8 @@ fn whoever_watches_sees_every_batch_and_frame_and_changes_nothing() {
     let last = notes.slots.last().unwrap();
     assert_eq!((last.3, last.4), (result.model.len(), SMALL.width * SMALL.height));
     assert!(notes.slots.iter().all(|s| s.2 > 10.0 && s.3 > 100));
+
+    assert_eq!(notes.resumed, []);
 
     let (statuses, units) = (kept.0.into_inner().unwrap(), kept.1.into_inner().unwrap());
     assert_eq!(units, 40 + 5 * 20 + 20);
@@ -132,10 +139,14 @@ fn time_and_warnings_of_interrupted_attempts_are_kept() {
         assert!(left["seconds"].as_f64().unwrap() > seconds);
         seconds = left["seconds"].as_f64().unwrap();
     }
-    let warnings = Warnings::new();
+    let (warnings, mut notes) = (Warnings::new(), Notes::default());
     let result =
-        watched(&recording, &config, dir.path(), &mut (), &NoProgress, &Cancel::new(), &warnings).unwrap();
+        watched(&recording, &config, dir.path(), &mut notes, &NoProgress, &Cancel::new(), &warnings).unwrap();
     assert!(result.seconds > seconds);
+    // 40 steps on the first frame and up to 20 on each of five others.
+    let [resumed] = notes.resumed[..] else { panic!("{:?}", notes.resumed) };
+    assert!(resumed.steps >= 100 && resumed.slot > 0 && resumed.slot <= resumed.frames, "{resumed:?}");
+    assert_eq!((resumed.frames, notes.batches[0].slot), (6, resumed.slot));
     assert_eq!(warnings.snapshot(), expected.snapshot());
     assert_eq!(bytes(dir.path()), bytes(once.path()));
     assert!(!dir.path().join("so_far.json").exists());

@@ -3,6 +3,7 @@
 use super::{Run, RunSettings};
 use crate::Error;
 use crate::cache::record;
+use crate::origin::current_dir;
 use crate::stages::{Comparison, MetricNames, add_drifts, evaluate, known_models, known_truth};
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, RunFolder, Warnings};
@@ -33,15 +34,16 @@ impl Run<'_> {
     /// Compares the entities with the models of an `objects.json`, or with the ground truth of a generated recording.
     ///
     /// # Errors
-    /// [`Error::Input`] without known objects.
+    /// [`Error::Input`] without known objects, or if the scene is stale.
     pub fn evaluate(&self, objects: Option<&Path>) -> Result<EvaluateOutcome, Error> {
         let run = self.open()?;
-        let set = load_entities(&run.stage_dir("entities", "materialize")?)?;
+        let set = load_entities(&current_dir(&run, "entities", "materialize")?)?;
         let settings = self.context.settings.section("evaluate", EvaluateSettings::default())?;
         let x_wr = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?.x_world_recording;
         let scan = RunSettings::of(&run)?;
         let warnings = Warnings::new();
         let drifts = contact_drift(&run, &warnings)?;
+        self.warn_stale(&run, "scene");
         let (known, truth) = match objects {
             Some(path) => (known_models(path, &x_wr, scan.masks == "files")?, None),
             None => {
@@ -87,7 +89,7 @@ fn add_found(comparisons: &[Comparison], truth: &TruthScene, metrics: &mut Metri
 
 /// Returns the drift of each body when the scene is simulated at rest. Warns if the scene cannot be simulated.
 fn contact_drift(run: &RunFolder, warnings: &Warnings) -> Result<Vec<RestingDrift>, Error> {
-    let scene = load_scene(&run.stage_dir("scene", "materialize")?)?;
+    let scene = load_scene(&current_dir(run, "scene", "materialize")?)?;
     Ok(resting_drift(&RapierFactory, &scene, REST_S).unwrap_or_else(|error| {
         warnings.add(
             "evaluate",

@@ -3,6 +3,7 @@
 use super::{Run, RunSettings};
 use crate::Error;
 use crate::cache::{inputs_hash, run_stage};
+use crate::origin::{current_dir, stage_state};
 use sms_core::metrics::Metrics;
 use sms_core::{Hash, Hasher, InputError, RunFolder, Warnings};
 use sms_landing::{LANDING_PLAN_FILE, LandingPlan};
@@ -48,6 +49,8 @@ pub enum ExecuteOutcome {
 
 /// A plan to execute.
 struct Order<'a> {
+    /// State of the scene with its meshes.
+    scene: Option<Hash>,
     plan_dir: &'a Path,
     scene_dir: &'a Path,
     recording: &'a Path,
@@ -62,6 +65,9 @@ impl Order<'_> {
             .file(&self.scene_dir.join("scene.json"))?
             .file(&self.recording.join("truth").join("truth.json"))?;
         read.text(self.target.label());
+        if let Some(scene) = &self.scene {
+            read.text(&scene.0);
+        }
         Ok(read.finish())
     }
 }
@@ -75,11 +81,12 @@ impl Run<'_> {
     /// Executes the plan in an independent target world built from the recording's ground truth.
     ///
     /// # Errors
-    /// [`Error::Input`] if the recording has no ground truth or the engine is not built in; [`Error::Target`] if the
-    /// world cannot be built.
+    /// [`Error::Input`] if the plan is stale, the recording has no ground truth, or the engine is not built in;
+    /// [`Error::Target`] if the world cannot be built.
     pub fn execute(&self, request: &ExecuteRequest) -> Result<ExecuteOutcome, Error> {
         let run = self.open()?;
-        let plan_dir = run.stage_dir("plan", "plan --task TASK.toml")?;
+        let plan_dir = current_dir(&run, "plan", "plan --task TASK.toml")?;
+        self.warn_stale(&run, "plan");
         let scene_dir = run.stage_dir("scene", "materialize")?;
         let recording = PathBuf::from(RunSettings::of(&run)?.recording);
         let truth_file = recording.join("truth").join("truth.json");
@@ -96,8 +103,13 @@ impl Run<'_> {
         let is_strike = !is_landing(&plan_dir);
         let arm = if is_strike { arm_of(request.arm, engine)? } else { request.arm };
         let target = engine.target()?;
-        let order =
-            Order { plan_dir: &plan_dir, scene_dir: &scene_dir, recording: &recording, target: &*target };
+        let order = Order {
+            scene: stage_state(&run, "scene"),
+            plan_dir: &plan_dir,
+            scene_dir: &scene_dir,
+            recording: &recording,
+            target: &*target,
+        };
         if is_strike { self.execute_strike(&run, &order, arm) } else { self.execute_landing(&run, &order) }
     }
 

@@ -15,6 +15,7 @@ impl Run<'_> {
     pub fn export(&self, formats: &[Format], out: Option<&Path>) -> Result<Vec<PathBuf>, Error> {
         let run = self.open_to_read()?;
         let dir = run.stage_dir("scene", "materialize")?;
+        self.warn_stale(&run, "scene");
         let scene = load_scene(&dir)?;
         let sources = Sources { gaussians: Some(dir.join("gaussians")) };
         let target = |format: Format| match out {

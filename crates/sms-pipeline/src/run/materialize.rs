@@ -4,11 +4,14 @@ use super::Run;
 use super::settings::{RunSettings, regions_hash};
 use crate::Error;
 use crate::cache::{inputs_hash, run_stage};
-use crate::material_edits::{EDITS, QUERIES};
+use crate::material_edits::QUERIES;
+use crate::object_names::{EDITS, ObjectNames, follow, write_names};
+use crate::origin::{current_dir, stage_state};
+use crate::stage_list::shown;
 use crate::stages::{SceneRequest, entities, entity_metrics, scene, trained_only};
 use crate::vlm::{VlmMode, cached_estimates};
 use sms_core::metrics::Metrics;
-use sms_core::{Hash, InputError, Labels, MaskSource, RunFolder, Seed, atomic};
+use sms_core::{BACKGROUND, Hash, InputError, Labels, MaskSource, RunFolder, Seed, Warnings, atomic};
 use sms_entities::{EntitiesConfig, EntitySet, load_entities, material_queries, save_entities};
 use sms_export::mjcf_text;
 use sms_frames::{ReadOptions, Sequence};
@@ -41,14 +44,15 @@ pub struct MaterializeOutcome {
 }
 
 impl Run<'_> {
-    /// Turns the scan into a scene: entities with meshes, materials, bodies.
+    /// Turns the scan into a scene: entities with meshes, materials, bodies. An earlier scene stays until the new one is
+    /// complete. Plans for another scene stay, too, and are stale then.
     ///
     /// # Errors
-    /// [`Error::Input`] if there is no scan or its objects were edited since; otherwise the error of the stage that
-    /// failed.
+    /// [`Error::Input`] if there is no scan, its objects were edited since, or material values name an object that does
+    /// not exist: before any work. Otherwise the error of the stage that failed.
     pub fn materialize(&self, request: &MaterializeRequest) -> Result<MaterializeOutcome, Error> {
         let run = self.open()?;
-        let gaussians_dir = run.stage_dir("gaussians", "scan DIR --out")?;
+        let gaussians_dir = current_dir(&run, "gaussians", "scan DIR --out")?;
         let frames_dir = run.stage_dir("frames", "scan DIR --out")?;
         let masks_dir = run.stage_dir("masks", "scan DIR --out")?;
         let settings = RunSettings::of(&run)?;
@@ -61,7 +65,8 @@ impl Run<'_> {
         refuse_other_objects(&settings, &labels, &masks_dir)?;
         let seed = Seed(settings.seed);
 
-        let before = run.stage_hash("gaussians").unwrap_or(Hash(String::new()));
+        let overrides = overrides(&run, request)?;
+        let before = stage_state(&run, "gaussians").unwrap_or(Hash(String::new()));
         // Names and descriptions may be edited without a new scan.
         let names: Vec<_> = labels.objects.iter().map(|o| (o.id, &o.name, &o.description)).collect();
         let hash = inputs_hash(&[&before], &(&config, seed, &read, names))?;
@@ -88,10 +93,12 @@ impl Run<'_> {
         for (query, estimate) in queries.iter_mut().zip(estimates) {
             query.estimate = estimate;
         }
-        let overrides = overrides(&run, request, &queries)?;
         let scene_hash = inputs_hash(&[&hash], &("scene 4", &queries, &overrides, MaterialTable::builtin()))?;
         let scene_dir = run_stage(self.context, &run, "scene", &scene_hash, |stage, warnings| {
             atomic::write_json(&stage.dir().join(QUERIES), &queries)?;
+            let objects = set.entities.iter().filter(|e| e.label != BACKGROUND);
+            write_names(stage.dir(), objects.map(|e| (e.name.as_str(), e.label)))?;
+            let overrides = without_unused(&run, overrides.clone(), &queries, warnings);
             let name = settings.recording_name();
             let request = SceneRequest {
                 name: &name,
@@ -104,6 +111,7 @@ impl Run<'_> {
             write_scene(&scene, stage.dir(), &entities_dir)?;
             Ok(Metrics::new())
         })?;
+        self.tell_stale(&run);
         Ok(MaterializeOutcome { entities: set, scene_dir })
     }
 }
@@ -119,17 +127,57 @@ fn refuse_other_objects(settings: &RunSettings, labels: &Labels, masks_dir: &Pat
     Err(InputError::new(what, masks_dir.join("labels.json"), cure).into())
 }
 
-/// Returns the material values of the user: the edits of the run under those of the file.
-fn overrides(
+/// Returns the material values of the user: the edits of the run under those of the file, both checked against the
+/// masks. Edits move to the present names of their objects.
+fn overrides(run: &RunFolder, request: &MaterializeRequest) -> Result<Overrides, Error> {
+    let names = ObjectNames::of(run)?;
+    let path = run.root().join(EDITS);
+    let read = Overrides::read_optional(&path)?;
+    let followed = follow(read.clone(), &names);
+    let known = names.known().unwrap_or_default();
+    if !followed.lost.is_empty() {
+        let (lost, first) = (followed.lost.join("`, `"), followed.lost.join(" --unset "));
+        let what = format!("this run has no object `{lost}`, for which material values are set");
+        let root = shown(run.root());
+        let cure =
+            format!("`sms materials {root} --unset {first}` removes them; objects: {}", known.join(", "));
+        return Err(InputError::new(what, path, cure).into());
+    }
+    let mut edits = followed.overrides;
+    if edits.object != read.object {
+        edits.save(&path)?;
+    }
+    // Labels identify objects in the file only.
+    edits.object.values_mut().for_each(|o| o.label = None);
+    let Some(file) = request.materials.as_deref() else { return Ok(edits) };
+    let given = Overrides::read(file)?;
+    if let Some(name) = given.object.keys().find(|name| !known.contains(&name.as_str())) {
+        let what = format!("there is no object `{name}` in this run");
+        return Err(InputError::new(what, file, format!("name one of: {}", known.join(", "))).into());
+    }
+    Ok(edits.under(given))
+}
+
+/// Removes the values of objects that the masks have but the scene has not, such as pieces that were joined to others,
+/// and adds a warning for each.
+fn without_unused(
     run: &RunFolder,
-    request: &MaterializeRequest,
+    mut overrides: Overrides,
     queries: &[ObjectQuery],
-) -> Result<Overrides, Error> {
-    let edits = Overrides::read_optional(&run.root().join(EDITS))?;
-    let Some(path) = request.materials.as_deref() else { return Ok(edits) };
-    // Checks each file separately, so that errors name the right one.
-    edits.check(queries, &MaterialTable::builtin())?;
-    Ok(edits.under(Overrides::read(path)?))
+    warnings: &Warnings,
+) -> Overrides {
+    overrides.object.retain(|name, _| {
+        let is_used = queries.iter().any(|q| q.name == *name);
+        if !is_used {
+            let what = format!("the material values of `{name}` are not used: the scene has no such body");
+            let root = shown(run.root());
+            let cure =
+                format!("remove them: `sms materials {root} --unset {name}`, or in the file of --materials");
+            warnings.add("scene", "material_unused", what, cure);
+        }
+        is_used
+    });
+    overrides
 }
 
 /// Writes the scene, its MJCF and the Gaussians of its bodies.

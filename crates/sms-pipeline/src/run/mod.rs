@@ -5,12 +5,15 @@ mod execute;
 mod export;
 mod masks;
 mod materialize;
+mod names;
 mod plan;
+mod recorded;
 mod report;
 mod robot;
 mod scan;
 mod settings;
 mod simulate;
+mod status;
 
 pub use evaluate::EvaluateOutcome;
 pub use execute::{ExecuteOutcome, ExecuteRequest};
@@ -19,11 +22,15 @@ pub use plan::{PlanRequest, PlannedTask};
 pub use robot::{RobotOutcome, RobotRequest};
 pub use scan::{ScanOutcome, ScanRequest};
 pub use settings::RunSettings;
+pub use simulate::is_at_rest;
+pub use status::{RunStatus, StageCondition, StageStatus};
 
+use crate::origin::{staleness, staleness_of};
+use crate::stage_list::{command_of, shown};
 use crate::{Context, Error};
 use serde::de::DeserializeOwned;
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, RunFolder, atomic};
+use sms_core::{CoreError, RunFolder, Warnings, atomic};
 use std::path::{Path, PathBuf};
 
 /// The pipeline on a folder: each method runs one command, reuses stages with unchanged inputs, and stores its result
@@ -46,12 +53,18 @@ impl<'c> Run<'c> {
         &self.folder
     }
 
-    /// Reads all metrics of the run.
+    /// Reads all metrics of the run. Those of a stale result are included; `stale.STAGE` has the reason.
     ///
     /// # Errors
     /// [`Error::Core`] if they cannot be read.
     pub fn metrics(&self) -> Result<Metrics, Error> {
-        Ok(Metrics::load(&self.folder.join("metrics.json"))?)
+        let mut metrics = Metrics::load(&self.folder.join("metrics.json"))?;
+        if let Ok(run) = self.open_to_read() {
+            for (stage, stale) in staleness(&run).iter().filter(|s| !s.1.is_empty()) {
+                metrics.set(format!("stale.{stage}"), stale.reasons().join("; "));
+            }
+        }
+        Ok(metrics)
     }
 
     /// Reads the settings of the scan.
@@ -69,6 +82,36 @@ impl<'c> Run<'c> {
     fn open_to_read(&self) -> Result<RunFolder, Error> {
         Ok(RunFolder::open_to_read(&self.folder)?)
     }
+
+    /// Reports the results that are stale now, with the reason and the command that makes the first of them again.
+    fn tell_stale(&self, run: &RunFolder) {
+        let all = staleness(run);
+        let stale: Vec<_> = all.iter().filter(|s| !s.1.replaced.is_empty()).collect();
+        let Some((first, why)) = stale.first() else { return };
+        let names: Vec<&str> = stale.iter().map(|s| s.0).collect();
+        self.context.message(format!(
+            "stale, kept until made again: {} ({}); next: {}",
+            names.join(", "),
+            why.replaced.join("; "),
+            command_of(run, first)
+        ));
+    }
+
+    /// Reports that a result is stale, with the reason and the command that makes it again.
+    fn warn_stale(&self, run: &RunFolder, stage: &str) {
+        self.context.warn(&stale_warning(run, stage));
+    }
+}
+
+/// Returns a warning with the code `stale` if a result is stale.
+fn stale_warning(run: &RunFolder, stage: &str) -> Warnings {
+    let warnings = Warnings::new();
+    let stale = staleness_of(run, stage);
+    if !stale.is_empty() {
+        let what = format!("the result `{stage}` is stale: {}", stale.reasons().join("; "));
+        warnings.add(stage, "stale", what, format!("`sms status {}` lists the commands", shown(run.root())));
+    }
+    warnings
 }
 
 /// Reads JSON that may be absent; a damaged file is an error.

@@ -2,6 +2,7 @@
 
 use super::{Run, RunSettings};
 use crate::cache::{inputs_hash, record, run_stage};
+use crate::origin::{current_dir, stage_state};
 use crate::settings::vlm_defaults;
 use crate::stages::{ChosenLanding, LandingChooser, LandingProblem, StrikeProblem, choose_landing};
 use crate::vlm::{REPLIES, client};
@@ -94,7 +95,8 @@ impl Run<'_> {
         config.perturbation.worlds = request.robust.unwrap_or(config.perturbation.worlds);
 
         let run = self.open()?;
-        let scene_dir = run.stage_dir("scene", "materialize")?;
+        let scene_dir = current_dir(&run, "scene", "materialize")?;
+        self.warn_stale(&run, "scene");
         let scene = load_scene(&scene_dir)?;
         let seed = seed(request, &run)?;
         let scan = RunSettings::of(&run).ok();
@@ -103,7 +105,8 @@ impl Run<'_> {
         let out_of_view = refuse_places_off_the_floor(&run, &strike.task, &request.task)?;
         run.record_settings("plan", &config)?;
         let urdf = robot.config.urdf.as_deref();
-        let hash = inputs_hash(&[&manifest_hash(&scene_dir, urdf)?], &(&task, &config, seed, &robot.config))?;
+        let hash =
+            inputs_hash(&[&scene_hash(&run, &scene_dir, urdf)?], &(&task, &config, seed, &robot.config))?;
         let dir = run_stage(self.context, &run, "plan", &hash, |stage, warnings| {
             let began = Instant::now();
             warn_out_of_view(&out_of_view, warnings);
@@ -122,6 +125,7 @@ impl Run<'_> {
             metrics.set("plan.seconds", began.elapsed().as_secs_f64());
             Ok(metrics)
         })?;
+        self.tell_stale(&run);
         let bodies = [strike.task.cue(), strike.task.target()].map(|b| b.name.clone());
         Ok(PlannedTask::Strike { plan: Box::new(load_plan(&dir)?), bodies, dir })
     }
@@ -131,7 +135,10 @@ impl Run<'_> {
     fn plan_landing(&self, request: &PlanRequest) -> Result<PlannedTask, Error> {
         let run = self.open()?;
         let error = match self.landing_stage(request, &run) {
-            Ok(planned) => return Ok(planned),
+            Ok(planned) => {
+                self.tell_stale(&run);
+                return Ok(planned);
+            }
             Err(error) => error,
         };
         let Some(refused) = error.input().cloned() else { return Err(error) };
@@ -147,7 +154,8 @@ impl Run<'_> {
 
     fn landing_stage(&self, request: &PlanRequest, run: &RunFolder) -> Result<PlannedTask, Error> {
         let task = LandingTask::read(&request.task)?;
-        let scene_dir = run.stage_dir("scene", "materialize")?;
+        let scene_dir = current_dir(run, "scene", "materialize")?;
+        self.warn_stale(run, "scene");
         let scene = load_scene(&scene_dir)?;
         let seed = seed(request, run)?;
         let base = if request.draft { LandingSettings::draft() } else { LandingSettings::default() };
@@ -160,7 +168,7 @@ impl Run<'_> {
         let vehicle = landing.task.vehicle();
         let chooser = request.chooser.name();
         let inputs = (&task, vehicle, settings, files, seed, chooser);
-        let hash = inputs_hash(&[&manifest_hash(&scene_dir, None)?], &inputs)?;
+        let hash = inputs_hash(&[&scene_hash(run, &scene_dir, None)?], &inputs)?;
         let dir = run_stage(self.context, run, "plan", &hash, |stage, warnings| {
             let began = Instant::now();
             landing.warn(warnings);
@@ -223,14 +231,18 @@ fn seed(request: &PlanRequest, run: &RunFolder) -> Result<Seed, Error> {
     }
 }
 
-/// Hashes the current scene, in which a user may have edited a mass or a friction, and the robot's URDF.
-fn manifest_hash(scene_dir: &Path, urdf: Option<&Path>) -> Result<Hash, Error> {
-    let mut manifest = Hasher::new();
-    manifest.file(&scene_dir.join("scene.json"))?;
-    if let Some(urdf) = urdf {
-        manifest.file(urdf)?;
+/// Hashes the current scene with its meshes and its manifest, in which a user may have edited a mass or a friction, and
+/// the robot's URDF.
+fn scene_hash(run: &RunFolder, scene_dir: &Path, urdf: Option<&Path>) -> Result<Hash, Error> {
+    let mut hasher = Hasher::new();
+    hasher.file(&scene_dir.join("scene.json"))?;
+    if let Some(state) = stage_state(run, "scene") {
+        hasher.text(&state.0);
     }
-    Ok(manifest.finish())
+    if let Some(urdf) = urdf {
+        hasher.file(urdf)?;
+    }
+    Ok(hasher.finish())
 }
 
 /// Refuses positions where the recording shows a lower surface, because the simulated floor is infinite. Returns the

@@ -2,25 +2,24 @@
 
 use super::execute::is_landing;
 use super::plan::{CHOICE_FILE, PICTURES};
-use super::{Run, RunSettings, read_optional};
+use super::recorded::RecordedFrames;
+use super::{Run, RunSettings, read_optional, stale_warning};
 use crate::Error;
+use crate::origin::{current_dir, staleness_of, write_page_origin};
+use crate::stage_list::{command_of, prefixes, shown as shown_path};
 use crate::stages::{ChoiceRecord, recording};
 use sms_core::metrics::Metrics;
-use sms_core::{ColorImage, InputError, RunFolder, Warning, read_png_color};
-use sms_frames::Sequence;
-use sms_gaussians::{GaussianModel, read_ply, render_views};
+use sms_core::{ColorImage, RunFolder, Warning, read_png_color};
+use sms_gaussians::read_ply;
 use sms_landing::{LandingPlan, RolloutOptions, rollout_landing};
-use sms_masks::load_labels;
 use sms_plan::load_plan;
-use sms_report::{LandingInput, LandingRealised, ReportInput, ViewPair, write_report};
+use sms_report::{LandingInput, LandingRealised, ReportInput, write_report};
 use sms_scene::{Scene, load_scene};
 use sms_sim::{FINGER_HALF, RapierFactory};
 use sms_target::{LANDING_EXECUTION_FILE, LandingExecution};
 use sms_task::{Execution, ResolvedTask, Task};
 use std::path::{Path, PathBuf};
-
-/// Number of frames shown, spread over the recording; held-out ones if there are any.
-const VIEWS: usize = 3;
+use std::time::SystemTime;
 
 impl Run<'_> {
     /// Writes the report and returns the page's path. With the feature `rerun`, also writes `run.rrd` for the Rerun
@@ -31,20 +30,27 @@ impl Run<'_> {
     pub fn report(&self) -> Result<PathBuf, Error> {
         let run = self.open_to_read()?;
         let settings = RunSettings::of(&run)?;
-        let gaussians_dir = run.stage_dir("gaussians", "scan DIR --out")?;
+        let gaussians_dir = current_dir(&run, "gaussians", "scan DIR --out")?;
         let model = read_ply(&gaussians_dir.join("scene.ply"))?;
-        let scene = run.stage_dir("scene", "materialize").ok().map(|d| load_scene(&d)).transpose()?;
-        let landed = landed(&run, scene.as_ref())?;
-        let plan_dir = run.stage_dir("plan", "plan").ok().filter(|_| landed.is_none());
+        let frames = RecordedFrames::of(&run)?;
+        let shown = Shown::of(&run);
+        let scene = shown.scene.as_deref().map(load_scene).transpose()?;
+        let landed = landed(&shown, scene.as_ref())?;
+        let plan_dir = shown.plan.clone().filter(|_| landed.is_none());
         let plan = plan_dir.as_deref().map(load_plan).transpose()?;
-        let target_dir = run.stage_dir("target", "execute").ok().filter(|_| landed.is_none());
+        let target_dir = shown.target.clone().filter(|_| landed.is_none());
         let execution = target_dir.map(|d| Execution::load(&d)).transpose()?;
         let resolved = match (&plan_dir, &scene) {
             (Some(dir), Some(scene)) => Some(Task::read(&dir.join("task.toml"))?.resolve(scene)?),
             _ => None,
         };
-        let metrics = self.metrics()?;
-        let warnings: Vec<Warning> = read_optional(&run.warnings_path())?.unwrap_or_default();
+        let mut metrics = self.metrics()?;
+        let mut warnings: Vec<Warning> = read_optional(&run.warnings_path())?.unwrap_or_default();
+        for stage in &shown.left_out {
+            prefixes(stage).iter().for_each(|prefix| metrics.remove_prefix(prefix));
+            warnings.retain(|w| w.stage != *stage);
+        }
+        warnings.extend(shown.warnings);
         let landing = landed.as_ref().map(Landed::input);
         let is_generated = Path::new(&settings.recording).join("truth").is_dir();
         let title = match (&landing, is_generated) {
@@ -58,7 +64,9 @@ impl Run<'_> {
         let input = ReportInput {
             title,
             subtitle: subtitle(&settings, &metrics, engine.or(landed_in)),
-            views: views(&run, &model, settings.holdout)?,
+            recorded: frames.photographs(self, &run, settings.holdout)?,
+            names: frames.names(),
+            views: frames.views(&model, settings.holdout),
             gaussians: Some(&model),
             scene: planned_in.as_ref().or(scene.as_ref()),
             plan: plan.as_ref(),
@@ -72,8 +80,11 @@ impl Run<'_> {
             metrics,
             warnings,
             settings_toml: std::fs::read_to_string(run.root().join("run.toml")).unwrap_or_default(),
+            commands: commands(&run),
+            written: Some(SystemTime::now()),
         };
         let page = write_report(&run.root().join("report"), &input)?;
+        write_page_origin(&run, &run.root().join("report"))?;
         #[cfg(feature = "rerun")]
         {
             let path = run.root().join("report").join("run.rrd");
@@ -82,6 +93,39 @@ impl Run<'_> {
         }
         Ok(page)
     }
+}
+
+/// The results that the page shows. Stale ones are left out, because their bodies and poses may be others than those of
+/// the page; a scene without the latest edits is shown with a warning.
+struct Shown {
+    scene: Option<PathBuf>,
+    plan: Option<PathBuf>,
+    target: Option<PathBuf>,
+    left_out: Vec<&'static str>,
+    warnings: Vec<Warning>,
+}
+
+impl Shown {
+    fn of(run: &RunFolder) -> Self {
+        let mut left_out = Vec::new();
+        let mut warnings = Vec::new();
+        let mut folder = |stage: &'static str| {
+            let dir = run.stage_dir(stage, stage).ok()?;
+            warnings.extend(stale_warning(run, stage).snapshot());
+            if staleness_of(run, stage).replaced.is_empty() {
+                return Some(dir);
+            }
+            left_out.push(stage);
+            None
+        };
+        let [scene, plan, target, _] = ["scene", "plan", "target", "robot"].map(&mut folder);
+        Self { scene, plan, target, left_out, warnings }
+    }
+}
+
+/// Returns the commands that make the scan and the page again.
+fn commands(run: &RunFolder) -> Vec<String> {
+    vec![command_of(run, "gaussians"), format!("sms report {}", shown_path(run.root()))]
 }
 
 /// Returns one line with recording, masks, preset and engine.
@@ -122,8 +166,8 @@ impl Landed {
 }
 
 /// Loads the landing; `None` if the plan is of another kind.
-fn landed(run: &RunFolder, scene: Option<&Scene>) -> Result<Option<Landed>, Error> {
-    let Some(dir) = run.stage_dir("plan", "plan").ok().filter(|d| is_landing(d)) else { return Ok(None) };
+fn landed(shown: &Shown, scene: Option<&Scene>) -> Result<Option<Landed>, Error> {
+    let Some(dir) = shown.plan.clone().filter(|d| is_landing(d)) else { return Ok(None) };
     let mut plan = LandingPlan::load(&dir)?;
     if let Some(scene) = scene.filter(|_| cfg!(feature = "rerun")) {
         // Files do not contain particles, so the flight is simulated again.
@@ -132,8 +176,9 @@ fn landed(run: &RunFolder, scene: Option<&Scene>) -> Result<Option<Landed>, Erro
         let flown = rollout_landing(&RapierFactory, &plan.wash, &world, &landing, &plan.action, &options)?;
         plan.nominal.particles = flown.particles;
     }
-    let target = run.stage_dir("target", "execute").ok();
-    let execution = target
+    let execution = shown
+        .target
+        .clone()
         .filter(|d| d.join(LANDING_EXECUTION_FILE).is_file())
         .map(|d| LandingExecution::load(&d))
         .transpose()?;
@@ -166,39 +211,4 @@ fn title(recording: &str, task: Option<&ResolvedTask>, seed: u64) -> String {
 
 fn roles(task: &ResolvedTask) -> Vec<(String, String)> {
     vec![(task.cue().name.clone(), "cue".into()), (task.target().name.clone(), "target".into())]
-}
-
-fn views(run: &RunFolder, model: &GaussianModel, holdout: usize) -> Result<Vec<ViewPair>, Error> {
-    let sequence = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?;
-    let masks_dir = run.stage_dir("masks", "scan DIR --out")?;
-    let labels = load_labels(&masks_dir)?;
-    if labels.maps.len() != sequence.len() {
-        let what = format!("there are {} masks for {} frames", labels.maps.len(), sequence.len());
-        return Err(InputError::new(what, &masks_dir, "run `sms scan` again with the same folder").into());
-    }
-    let mut candidates = sequence.held_out(holdout);
-    if candidates.is_empty() {
-        candidates = (0..sequence.len()).collect();
-    }
-    let count = VIEWS.min(candidates.len());
-    let chosen: Vec<usize> =
-        (0..count).map(|i| candidates[(2 * i + 1) * candidates.len() / (2 * count)]).collect();
-    let renders = render_views(model, &sequence, &chosen);
-    Ok(renders
-        .into_iter()
-        .map(|view| {
-            let frame = &sequence.frames[view.frame_index];
-            ViewPair {
-                frame_index: view.frame_index,
-                held_out: Sequence::is_held_out(view.frame_index, holdout),
-                camera: frame.camera,
-                observed_color: frame.color.clone(),
-                observed_depth: frame.depth.clone(),
-                observed_label: labels.maps[view.frame_index].clone(),
-                rendered_color: view.color,
-                rendered_depth: view.depth,
-                rendered_label: view.label,
-            }
-        })
-        .collect())
 }

@@ -2,6 +2,7 @@
 
 use super::{Run, RunSettings};
 use crate::cache::{inputs_hash, run_stage};
+use crate::origin::{current_dir, stage_state};
 use crate::robot_place::no_place;
 use crate::{Error, RobotPlace};
 use glamx::DPose3;
@@ -46,11 +47,12 @@ impl Run<'_> {
     /// Plans the arm's motion for the planned strike, checks it, and writes it for the robot.
     ///
     /// # Errors
-    /// [`Error::Input`] if the robot's pose is not known or the arm cannot make the strike.
+    /// [`Error::Input`] if the plan is stale, the robot's pose is not known, or the arm cannot make the strike.
     pub fn robot(&self, request: &RobotRequest) -> Result<RobotOutcome, Error> {
         let run = self.open()?;
         let scene_dir = run.stage_dir("scene", "materialize")?;
-        let plan_dir = run.stage_dir("plan", "plan")?;
+        let plan_dir = current_dir(&run, "plan", "plan")?;
+        self.warn_stale(&run, "plan");
         let scene = load_scene(&scene_dir)?;
         let scan = RunSettings::of(&run).ok();
         let stated = RobotPlace::of(&self.context.settings, scan.as_ref())?;
@@ -72,6 +74,9 @@ impl Run<'_> {
         read.file(&plan_dir.join("plan.json"))?
             .file(&plan_dir.join("task.toml"))?
             .file(&scene_dir.join("scene.json"))?;
+        if let Some(state) = stage_state(&run, "scene") {
+            read.text(&state.0);
+        }
         // Includes all files of the robot: its URDF, and the meshes and packages that it names.
         let robot_text = format!("{robot:?}");
         let hash = inputs_hash(&[&read.finish()], &(&config, robot_text, request.keep_failed))?;

@@ -4,12 +4,13 @@ use super::Run;
 use super::settings::{RunSettings, SETTINGS, regions_hash};
 use crate::cache::{inputs_hash, run_stage};
 use crate::networks::Networks;
+use crate::resumption::AnnouncedScan;
 use crate::separate::refuse_run_in_recording;
 use crate::settings::poses_defaults;
 use crate::stages::{FramesRequest, GaussiansRequest, frames, gaussians, masks};
 use crate::{Device, Error, MasksSource, device};
 use sms_core::{CoreError, Hash, Hasher, InputError, RunFolder, Seed, atomic};
-use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence};
+use sms_frames::{Align, LoadSettings, ReadOptions, RecordedFrame, Recording, Sequence};
 use sms_gaussians::{Preset, ScanConfig, ScanObserver};
 use sms_masks::{
     FileMasks, GeometryConfig, GeometryMasks, Labels, Segmenter, TruthMasks, load_labels, save_labels,
@@ -114,6 +115,7 @@ impl Run<'_> {
         };
         let labels = self.masks_stage(&work, &opened)?;
         self.gaussians_stage(&work, &labels, recorded, observer)?;
+        self.tell_stale(&run);
         let gaussians = run.root().join("gaussians").join("scene.ply");
         Ok(ScanOutcome { objects: labels.objects.len(), gaussians })
     }
@@ -218,7 +220,8 @@ impl Run<'_> {
             let (mut trainer, device) =
                 device::trainer(request.device, train, classes, self.context.events.as_ref(), context)?;
             let training = GaussiansRequest { config: &settings.scan, work_dir: stage.dir() };
-            let result = gaussians(sequence, labels, &training, trainer.as_mut(), observer, context)?;
+            let mut observer = AnnouncedScan { inner: observer, context: self.context };
+            let result = gaussians(sequence, labels, &training, trainer.as_mut(), &mut observer, context)?;
             let mut metrics = result.metrics;
             metrics.set("scan.device", device);
             atomic::write_json(&stage.dir().join(SETTINGS), &recorded)?;
@@ -245,10 +248,10 @@ fn up_direction(up: [f64; 3]) -> Result<[f64; 3], InputError> {
     Err(InputError::new(what, "--up", "use three numbers that are not all zero, such as --up 0,0,1"))
 }
 
-/// Returns the content hash of all files of the recording's frames.
+/// Returns the content hash of all files of the recording's frames. The recording's path may be spelled in any way.
 fn fingerprint(recording: &Recording) -> Result<Hash, Error> {
     let mut hasher = Hasher::new();
-    let root = std::path::absolute(&recording.root).map_err(CoreError::read(&recording.root))?;
+    let root = recording.root.canonicalize().map_err(CoreError::read(&recording.root))?;
     hasher.text(&root.display().to_string());
     let statements = (
         recording.depth_unit_m,
@@ -260,7 +263,14 @@ fn fingerprint(recording: &Recording) -> Result<Hash, Error> {
     );
     hasher.text(&serde_json::to_string(&statements)?);
     for frame in &recording.frames {
-        hasher.text(&serde_json::to_string(frame)?);
+        let within = |path: &Path| path.strip_prefix(&recording.root).unwrap_or(path).to_owned();
+        let named = RecordedFrame {
+            color_path: within(&frame.color_path),
+            depth_path: within(&frame.depth_path),
+            mask_path: frame.mask_path.as_deref().map(within),
+            ..frame.clone()
+        };
+        hasher.text(&serde_json::to_string(&named)?);
         let files = [Some(&frame.color_path), Some(&frame.depth_path), frame.mask_path.as_ref()];
         for path in files.into_iter().flatten() {
             hash_file(&mut hasher, path)?;
@@ -283,10 +293,11 @@ fn mask_names_hash(recording: &Recording, masks: &MasksSource) -> Result<Hash, E
     Ok(hasher.finish())
 }
 
-/// Adds a file if it exists; the reader reports missing images.
+/// Adds a file's content if it exists; the reader reports missing images.
 fn hash_file(hasher: &mut Hasher, path: &Path) -> Result<(), Error> {
-    hasher.text(&path.display().to_string());
-    if path.is_file() {
+    let exists = path.is_file();
+    hasher.text(if exists { "file" } else { "no file" });
+    if exists {
         hasher.file(path)?;
     }
     Ok(())

@@ -120,13 +120,17 @@ mod tests {
 
     #[test]
     fn the_text_has_the_values() {
-        let given = ["frames.align={ up = [0, 0.6, 0.8] }", "read.depth_unit_m=0.0002", "landing.jet.rings=7"];
+        let given =
+            ["frames.align={ up = [0, 0.6, 0.8] }", "read.depth_unit_m=0.0002", "landing.jet.rings=7"];
         let settings = Settings::read(None, &given.map(str::to_owned)).unwrap();
         let written: toml::Table = toml::from_str(&text(&settings, Preset::Fine).unwrap()).unwrap();
         let values = values(&settings, Preset::Fine).unwrap();
         assert_eq!(serde_json::to_value(written).unwrap(), Value::Object(values.clone()));
         assert_eq!(values["landing"]["jet"]["rings"], 7);
         assert_eq!(values["frames"]["align"]["up"][1], 0.6);
-        assert_eq!((&values["read"]["depth_unit_m"], values["read"].get("axes")), (&Value::from(0.0002), None));
+        assert_eq!(
+            (&values["read"]["depth_unit_m"], values["read"].get("axes")),
+            (&Value::from(0.0002), None)
+        );
     }
 }

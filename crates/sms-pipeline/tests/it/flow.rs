@@ -45,12 +45,12 @@ impl EventSink for Stages {
     }
 }
 
-fn short_settings() -> Settings {
+pub(crate) fn short_settings() -> Settings {
     Settings::read(None, &SHORT.map(str::to_owned)).unwrap()
 }
 
 /// Writes a small recording of two balls with its task.
-fn record(dir: &Path) -> TruthScene {
+pub(crate) fn record(dir: &Path) -> TruthScene {
     let truth =
         generate_billiards(Seed(1), &BilliardsSettings { objects: 1, ..BilliardsSettings::default() });
     let small = RecordingSettings { frames: 10, ..RecordingSettings::small() };
@@ -59,7 +59,7 @@ fn record(dir: &Path) -> TruthScene {
     truth
 }
 
-fn request() -> ScanRequest {
+pub(crate) fn request() -> ScanRequest {
     ScanRequest { preset: Preset::Draft, holdout: Some(HOLDOUT), ..ScanRequest::default() }
 }
 
@@ -133,7 +133,8 @@ fn the_cache_changes_no_result_and_spares_all_work() {
     assert!(scene.bodies.len() > 2, "the scene must have a floor and two balls");
 
     let events = Stages::default();
-    let again = with_cache(&recording, &folder, events.clone());
+    let otherwise_spelled = folder.join("..").join("recording");
+    let again = with_cache(&otherwise_spelled, &folder, events.clone());
     assert_eq!(*events.0.lock().unwrap(), expected(true));
     assert_eq!(again, (scene.clone(), objective));
 

@@ -152,7 +152,9 @@ fn items<'a>(
     let (mut found, mut doc, mut attributes) = (Vec::new(), Vec::new(), String::new());
     for line in lines.take_while(|line| *line != "}") {
         // Deeper lines are the fields of a variant.
-        let Some(code) = line.strip_prefix("    ").filter(|code| !code.starts_with([' ', '}'])) else { continue };
+        let Some(code) = line.strip_prefix("    ").filter(|code| !code.starts_with([' ', '}'])) else {
+            continue;
+        };
         if let Some(text) = code.strip_prefix("///") {
             doc.push(text.trim().to_owned());
         } else if code.starts_with("#[") {

@@ -6,8 +6,8 @@ use sms_core::glamx::{DPose3, DVec2, DVec3};
 use sms_core::table::{Column, read_table};
 use sms_core::{Cancel, CoreError, NoProgress, Progress, Seed, StageContext, Warnings};
 use sms_plan::{
-    Method, NelderMead, Perturbation, PlanConfig, PlanError, PlanOutcome, Trial, TrialPhase, Unknown, load_plan,
-    plan, save_plan,
+    Method, NelderMead, Perturbation, PlanConfig, PlanError, PlanOutcome, Trial, TrialPhase, Unknown,
+    load_plan, plan, save_plan,
 };
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
 use sms_sim::RapierFactory;

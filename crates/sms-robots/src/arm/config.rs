@@ -10,7 +10,7 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RobotConfig {
-    /// The robot's URDF; the built-in Franka Research 3 if `None`.
+    /// The robot's URDF; without one, the built-in Franka Research 3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub urdf: Option<PathBuf>,
     /// Link of the URDF whose frame is the tool: x ahead, z up.

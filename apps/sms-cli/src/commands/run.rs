@@ -1,0 +1,143 @@
+//! `sms run`: all stages on a recording, with one summary at the end.
+
+use super::{execute, materialize, plan, report, scan, simulate};
+use crate::cli::{self, RunArguments};
+use sms_cli::front::Console;
+use sms_core::metrics::Metrics;
+use sms_core::{InputError, duration_text, length_text};
+use sms_pipeline::{PlanRequest, Run};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Simulated time of the check at rest, seconds.
+const REST_S: f64 = 1.0;
+
+pub(crate) fn run(console: &Console, a: &RunArguments) -> anyhow::Result<()> {
+    let began = Instant::now();
+    let root = match &a.out {
+        Some(out) => out.clone(),
+        None => own_folder(console, &a.recording)?,
+    };
+    let page = match stages(console, a, &root) {
+        Ok(page) => page,
+        Err(error) => {
+            if !console.json && root.is_dir() {
+                eprintln!("finished stages are in {}; the same command goes on from there", root.display());
+            }
+            return Err(error);
+        }
+    };
+    let run = Run::new(&root, &console.context);
+    let metrics = run.metrics()?;
+    console.say("");
+    summary(&metrics).iter().for_each(|(part, text)| console.say(format!("{part:>10}  {text}")));
+    console.say(format!("{:>10}  {}", "report", page.display()));
+    console.say(format!("{:>10}  {}", "time", duration_text(began.elapsed().as_secs_f64())));
+    console.say(format!("next: {}", run.status()?.next.join("\n      ")));
+    if console.json {
+        console.print_json(&metrics)?;
+    }
+    Ok(())
+}
+
+/// Runs the stages; returns the report page.
+fn stages(console: &Console, a: &RunArguments, root: &Path) -> anyhow::Result<PathBuf> {
+    let arguments = cli::ScanArguments {
+        recording: a.recording.clone(),
+        out: root.to_owned(),
+        preset: a.preset,
+        masks: a.masks,
+        nets: cli::NetsArguments { objects: a.objects.clone(), ..cli::NetsArguments::default() },
+        refine_poses: None,
+        holdout: a.holdout,
+        device: a.device,
+        seed: a.seed,
+        up: None,
+        no_check: false,
+        live: None,
+    };
+    scan::run(console, &arguments)?;
+    let run = root.to_owned();
+    materialize::run(
+        console,
+        &cli::MaterializeArguments { run, materials: None, vlm: cli::VlmName::default() },
+    )?;
+    simulate::run(console, &cli::SimulateArguments { run: root.to_owned(), seconds: REST_S })?;
+    if let Some(task) = &a.task {
+        let run = Run::new(root, &console.context);
+        plan::show(console, &run.plan(&PlanRequest::new(task))?);
+        if run.has_truth() {
+            let run = root.to_owned();
+            let arguments = cli::ExecuteArguments { run, engine: None, arm: cli::ArmName::Shared };
+            execute::run(console, &arguments)?;
+        }
+    }
+    report::run(console, &cli::ReportArguments { run: root.to_owned() })
+}
+
+/// Returns the folder `runs/NAME` of a recording; refuses that of another recording with the same name.
+fn own_folder(console: &Console, recording: &Path) -> anyhow::Result<PathBuf> {
+    let absolute = std::path::absolute(recording).unwrap_or_else(|_| recording.to_owned());
+    let name = absolute.file_name().map_or_else(|| "scene".into(), ToOwned::to_owned);
+    let root = PathBuf::from("runs").join(name);
+    let other = Run::new(&root, &console.context).status().ok().and_then(|s| s.recording);
+    if let Some(other) = other.filter(|other| *other != absolute) {
+        let what = format!("this folder has a run of another recording, {}", other.display());
+        return Err(InputError::new(what, &root, "name another folder with --out").into());
+    }
+    Ok(root)
+}
+
+/// Returns one line for each part of the run, from its metrics.
+fn summary(m: &Metrics) -> Vec<(&'static str, String)> {
+    let mut lines = Vec::new();
+    let length = |key: &str| m.number(key).map(length_text);
+    let count = |key: &str| m.number(key).unwrap_or(0.0);
+    let mut scan =
+        format!("{} frames, {} objects in the masks", count("scan.frames"), count("masks.objects"));
+    if let Some(psnr) = m.number("scan.holdout_psnr_db") {
+        scan += &format!(", {psnr:.1} dB on held-out views");
+    }
+    lines.push(("scan", scan));
+    let mut scene = format!("{} bodies", count("entities.count"));
+    if let Some(drift) = length("simulate.drift_m") {
+        scene +=
+            &format!("; at rest for {} s, they move at most {drift}", count("simulate.seconds_simulated"));
+    }
+    lines.push(("scene", scene));
+    let is = |key: &str| m.get(key).and_then(serde_json::Value::as_bool);
+    let is_stale = |stage: &str| m.get(&format!("stale.{stage}")).is_some();
+    let share = m.number("plan.predicted_success_share").or_else(|| m.number("plan.success_share"));
+    let predicted = length("plan.predicted_mean").or_else(|| length("plan.objective"));
+    if let Some(predicted) = predicted.filter(|_| !is_stale("plan")) {
+        let success =
+            share.map_or_else(String::new, |s| format!("; success in {:.0} % of worlds", 100.0 * s));
+        lines.push(("plan", format!("{predicted} predicted{success}")));
+    }
+    if let Some(success) = is("execute.success").filter(|_| !is_stale("target")) {
+        let realised = length("execute.objective").map_or_else(String::new, |o| format!("{o} realised; "));
+        lines.push(("execution", format!("{realised}{}", if success { "success" } else { "missed" })));
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_summary_has_the_parts_that_were_run_and_none_that_are_stale() {
+        let mut m = Metrics::new();
+        m.set("scan.frames", 60)
+            .set("masks.objects", 5)
+            .set("entities.count", 5)
+            .set("simulate.drift_m", 3e-5);
+        let parts = |m: &Metrics| summary(m).iter().map(|line| line.0).collect::<Vec<_>>();
+        assert_eq!(parts(&m), ["scan", "scene"]);
+        m.set("plan.predicted_mean", 0.0056).set("execute.objective", 0.0068).set("execute.success", true);
+        assert_eq!(parts(&m), ["scan", "scene", "plan", "execution"]);
+        assert!(summary(&m)[3].1.contains("6.80 mm"));
+        m.set("stale.plan", "`scene` has another result now").set("stale.target", "");
+        assert_eq!(parts(&m), ["scan", "scene"]);
+    }
+}

@@ -1,0 +1,110 @@
+//! The stages of a run in the order of the data flow, and the commands that make them.
+
+use serde::de::DeserializeOwned;
+use sms_core::{RunFolder, atomic};
+use std::path::Path;
+
+/// The stages in the order of the data flow, with the metrics that each writes.
+pub(crate) const STAGES: [(&str, &[&str]); 8] = [
+    ("frames", &["check.", "poses."]),
+    ("masks", &["masks."]),
+    ("gaussians", &["scan."]),
+    ("entities", &["entities.", "materialize."]),
+    ("scene", &["scene."]),
+    ("plan", &["plan."]),
+    ("target", &["execute."]),
+    // Depends only on the plan, like `target`.
+    ("robot", &["robot."]),
+];
+
+/// Checks without a folder, with the stage that they check.
+pub(crate) const CHECKS: [(&str, &str); 2] = [("evaluate", "entities"), ("simulate", "scene")];
+
+/// Returns the prefixes of the metrics of a stage.
+pub(crate) fn prefixes(stage: &str) -> &'static [&'static str] {
+    STAGES.iter().find(|s| s.0 == stage).map_or(&[], |s| s.1)
+}
+
+/// Returns the command that makes a stage of this run, with the options of the earlier scan and the earlier task.
+pub(crate) fn command_of(run: &RunFolder, stage: &str) -> String {
+    let root = shown(run.root());
+    match stage {
+        "frames" | "masks" | "gaussians" => scan_command(run),
+        "plan" => {
+            let kept = run.root().join("plan").join("task.toml");
+            let recorded = scan_option::<String>(run, "recording").map(|r| Path::new(&r).join("task.toml"));
+            let file = Some(kept).into_iter().chain(recorded).find(|f| f.is_file());
+            format!("sms plan {root} --task {}", file.map_or_else(|| "TASK.toml".to_owned(), |f| shown(&f)))
+        }
+        "target" => format!("sms execute {root}"),
+        "robot" => format!("sms robot {root}"),
+        _ => format!("sms materialize {root}"),
+    }
+}
+
+fn scan_command(run: &RunFolder) -> String {
+    let recording =
+        scan_option::<String>(run, "recording").map_or("RECORDING".to_owned(), |r| shown(Path::new(&r)));
+    let mut command = format!("sms scan {recording} --out {}", shown(run.root()));
+    for (key, usual) in [("preset", "standard"), ("masks", "geometry")] {
+        if let Some(value) = scan_option::<String>(run, key).filter(|v| v != usual) {
+            command += &format!(" --{key} {value}");
+        }
+    }
+    for key in ["holdout", "seed"] {
+        // A seed beyond the integers of TOML is text.
+        let number =
+            scan_option::<u64>(run, key).map(|n| n.to_string()).or_else(|| scan_option::<String>(run, key));
+        if let Some(value) = number.filter(|v| v != "0") {
+            command += &format!(" --{key} {value}");
+        }
+    }
+    command
+}
+
+/// Returns an option of the scan from `run.toml`; `None` if it is absent or of another type.
+pub(crate) fn scan_option<T: DeserializeOwned>(run: &RunFolder, key: &str) -> Option<T> {
+    let table: toml::Table = atomic::read_toml(&run.root().join("run.toml")).ok()?;
+    table.get("run")?.get(key)?.clone().try_into().ok()
+}
+
+/// Returns a path as an argument for a shell.
+pub(crate) fn shown(path: &Path) -> String {
+    let text = path.display().to_string();
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+=:,@~".contains(c);
+    if !text.is_empty() && text.chars().all(is_plain) {
+        return text;
+    }
+    format!("'{}'", text.replace('\'', "'\\''"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_repeat_the_options_of_the_run() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("my run");
+        let run = RunFolder::create(&root).unwrap();
+        let settings = serde_json::json!({"recording": "/data/desk", "preset": "draft", "masks": "geometry",
+            "holdout": 8, "seed": u64::MAX});
+        run.record_settings("run", &settings).unwrap();
+        let quoted = format!("'{}'", root.display());
+        let scan =
+            format!("sms scan /data/desk --out {quoted} --preset draft --holdout 8 --seed {}", u64::MAX);
+        assert_eq!(command_of(&run, "gaussians"), scan);
+        assert_eq!(command_of(&run, "plan"), format!("sms plan {quoted} --task TASK.toml"));
+        std::fs::create_dir(root.join("plan")).unwrap();
+        std::fs::write(root.join("plan/task.toml"), "").unwrap();
+        let task = root.join("plan/task.toml");
+        assert_eq!(command_of(&run, "plan"), format!("sms plan {quoted} --task '{}'", task.display()));
+        assert_eq!(command_of(&run, "scene"), format!("sms materialize {quoted}"));
+    }
+
+    #[test]
+    fn a_path_is_one_argument() {
+        assert_eq!(shown(Path::new("runs/desk-1")), "runs/desk-1");
+        assert_eq!(shown(Path::new("it's")), "'it'\\''s'");
+    }
+}
