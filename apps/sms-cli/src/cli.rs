@@ -1,9 +1,13 @@
 //! Commands and arguments of `sms`.
 
+mod masks;
+
+pub(crate) use masks::{MasksArguments, MasksName, ModelsArguments, NetsArguments};
+
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use sms_cli::front::{Common, EngineName, PathName, PresetName, RefinePoses};
 use sms_pipeline::stages::LandingChooser;
-use sms_pipeline::{Device, Format, MasksSource, NetworksRequest, TrackMode, VlmMode};
+use sms_pipeline::{Device, Format, VlmMode};
 use std::path::PathBuf;
 
 /// Scan, materialize, simulate: from an RGB-D recording to a simulation-ready scene and a plan.
@@ -94,15 +98,38 @@ pub(crate) struct RunArguments {
     /// Objects to detect with --masks sam2: "mug, toy duck, cue ball".
     #[arg(long, value_name = "LIST")]
     pub objects: Option<String>,
+    #[command(flatten)]
+    pub poses: PosesArguments,
     /// Hold out every N-th frame to measure quality (0: none).
     #[arg(long, value_name = "N")]
     pub holdout: Option<usize>,
+    /// TOML file with material values (`[object.NAME] class = "ceramic"`).
+    #[arg(long, value_name = "FILE")]
+    pub materials: Option<PathBuf>,
     /// Device for the scan.
     #[arg(long, value_name = "cpu|gpu[:N]|auto", default_value = "auto")]
     pub device: Device,
     /// Random seed.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
+}
+
+/// Options of the camera poses and of the check.
+#[derive(Debug, Args, Clone, Default)]
+pub(crate) struct PosesArguments {
+    /// Correct the camera poses before the scan.
+    ///
+    /// `auto` uses the correction only if held-out frames agree better.
+    #[arg(long, value_enum, value_name = "MODE", num_args = 0..=1, default_missing_value = "on")]
+    pub refine_poses: Option<RefinePoses>,
+    /// Up direction in the recording's own world.
+    ///
+    /// Needed if it cannot be detected from surfaces; any length.
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
+    pub up: Option<Vec<f64>>,
+    /// Scan even if the check finds errors in the recording.
+    #[arg(long)]
+    pub no_check: bool,
 }
 
 #[derive(Debug, Args)]
@@ -121,118 +148,9 @@ pub(crate) struct NameArguments {
 }
 
 #[derive(Debug, Args)]
-pub(crate) struct MasksArguments {
-    /// Folder of the run.
-    pub run: PathBuf,
-    /// Write preview.png, the first frame with masks, boxes and scores.
-    ///
-    /// With --objects, --box, --threshold or --max-overlap, detect again with these options; this needs no masks and
-    /// changes none.
-    #[arg(long)]
-    pub preview: bool,
-    #[command(flatten)]
-    pub nets: NetsArguments,
-}
-
-#[derive(Debug, Subcommand)]
-pub(crate) enum ModelsArguments {
-    /// List the models, and the location of those already fetched.
-    List,
-    /// Fetch models into the Hugging Face cache.
-    Fetch {
-        /// Names from `sms models list` (default: the two that `--masks sam2` uses).
-        models: Vec<String>,
-    },
-}
-
-#[derive(Debug, Args)]
 pub(crate) struct CheckArguments {
     /// Folder of the recording (nerfstudio transforms.json with depth, or TUM RGB-D).
     pub recording: PathBuf,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum MasksName {
-    /// Clusters of the fused depth; needs no weights.
-    Geometry,
-    /// Label images of the recording.
-    Files,
-    /// The truth of a generated recording (ablations only).
-    Truth,
-    /// Objects named by --objects, found in the first frame by OWLv2 and tracked by SAM 2.1 (feature `nets`).
-    Sam2,
-}
-
-impl MasksName {
-    /// Returns the library's source; `nets` has the options of the networks.
-    pub(crate) fn source(self, nets: &NetsArguments) -> MasksSource {
-        match self {
-            Self::Geometry => MasksSource::Geometry,
-            Self::Files => MasksSource::Files,
-            Self::Truth => MasksSource::Truth,
-            Self::Sam2 => MasksSource::Networks(nets.request()),
-        }
-    }
-}
-
-/// Tracking method of SAM 2.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum TrackName {
-    /// With the memory of each object, as in the paper.
-    Memory,
-    /// Segments each image from a box projected by pose and depth; several times cheaper.
-    Reprompt,
-}
-
-/// Options of `--masks sam2`.
-#[derive(Debug, Args, Clone, Default)]
-pub(crate) struct NetsArguments {
-    /// Objects to detect: "mug, toy duck" (default: household objects).
-    #[arg(long, value_name = "LIST")]
-    pub objects: Option<String>,
-    /// An object's box in the first frame (repeatable).
-    ///
-    /// For example --box "mug=x0,y0,x1,y1". Without --objects, nothing else is detected.
-    #[arg(long = "box", value_name = "NAME=X0,Y0,X1,Y1")]
-    pub boxes: Vec<String>,
-    /// Lowest score of a detection, 0 to 1 (default: 0.2).
-    #[arg(long, value_name = "SCORE")]
-    pub threshold: Option<f64>,
-    /// Highest overlap of two detections, 0 to 1 (default: 0.5).
-    ///
-    /// Of two that overlap more, the weaker one is dropped.
-    #[arg(long, value_name = "SHARE")]
-    pub max_overlap: Option<f64>,
-    /// Tracking method of SAM 2.
-    ///
-    /// By default memory on a GPU, reprompt on a CPU.
-    #[arg(long, value_enum, value_name = "HOW")]
-    pub track: Option<TrackName>,
-    /// Name of the SAM 2.1 model (see `sms models list`).
-    #[arg(long, value_name = "MODEL")]
-    pub sam2: Option<String>,
-    /// Folder of the model files (default: the Hugging Face cache).
-    #[arg(long, value_name = "DIR")]
-    pub weights: Option<PathBuf>,
-}
-
-impl NetsArguments {
-    /// Returns the library's request.
-    pub(crate) fn request(&self) -> NetworksRequest {
-        let a = self.clone();
-        NetworksRequest {
-            objects: a.objects,
-            boxes: a.boxes,
-            threshold: a.threshold,
-            max_overlap: a.max_overlap,
-            tracking: a.track.map(|track| match track {
-                TrackName::Memory => TrackMode::Memory,
-                TrackName::Reprompt => TrackMode::Reprompt,
-            }),
-            sam2: a.sam2,
-            weights: a.weights,
-        }
-    }
 }
 
 #[derive(Debug, Args)]
@@ -257,11 +175,8 @@ pub(crate) struct ScanArguments {
     pub masks: MasksName,
     #[command(flatten)]
     pub nets: NetsArguments,
-    /// Correct the camera poses before the scan.
-    ///
-    /// `auto` uses the correction only if held-out frames agree better.
-    #[arg(long, value_enum, value_name = "MODE", num_args = 0..=1, default_missing_value = "on")]
-    pub refine_poses: Option<RefinePoses>,
+    #[command(flatten)]
+    pub poses: PosesArguments,
     /// Hold out every N-th frame to measure quality (0: none).
     #[arg(long, value_name = "N")]
     pub holdout: Option<usize>,
@@ -274,14 +189,6 @@ pub(crate) struct ScanArguments {
     /// Random seed.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Up direction in the recording's own world.
-    ///
-    /// Needed if it cannot be detected from surfaces; any length.
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
-    pub up: Option<Vec<f64>>,
-    /// Scan even if the check finds errors in the recording.
-    #[arg(long)]
-    pub no_check: bool,
     /// Show the scan in a Rerun viewer (feature `rerun`).
     ///
     /// In the viewer at ADDR (host:port or rerun+http://…), else one already open on this machine, else a new one.

@@ -7,6 +7,7 @@ mod cli;
 mod commands;
 mod help;
 mod live;
+mod repeat;
 
 use clap::FromArgMatches;
 use cli::{Arguments, Command};
@@ -14,17 +15,21 @@ use sms_cli::front::{Console, failure};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let parsed = Arguments::from_arg_matches(&help::command().get_matches());
+    let program = help::command();
+    let matches = program.clone().get_matches();
+    let options = repeat::options(&program, &matches);
+    let parsed = Arguments::from_arg_matches(&matches);
     let mut arguments = parsed.unwrap_or_else(|error| error.exit());
     if let Command::Materials(a) = &mut arguments.command {
         // The `--set` of this command sets values of objects, not settings.
         a.set = std::mem::take(&mut arguments.common.assignments);
     }
     let is_flow = matches!(arguments.command, Command::Demo(_) | Command::Run(_));
-    let console = match Console::new(&arguments.common, is_flow) {
+    let mut console = match Console::new(&arguments.common, is_flow) {
         Ok(console) => console,
         Err(error) => return failure::report::<sms_pipeline::Error>(&error),
     };
+    console.context.options = options;
     match run(&console, arguments.command) {
         Ok(code) => code,
         Err(error) => failure::report::<sms_pipeline::Error>(&error),

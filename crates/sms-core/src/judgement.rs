@@ -31,7 +31,7 @@ impl Grade {
         match value {
             v if v <= good => Self::Good,
             v if v <= fair => Self::Fair,
-            // NaN, too.
+            // NaN is poor, too.
             _ => Self::Poor,
         }
     }

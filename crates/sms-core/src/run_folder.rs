@@ -4,7 +4,7 @@
 //! complete. `<name>/stage.json` holds the hash of everything that went into it; a stage whose hash has not changed
 //! is not run again, and a partial stage whose hash has not changed is resumed.
 
-use crate::{CoreError, Hash, InputError, atomic};
+use crate::{CoreError, Hash, InputError, atomic, shell_argument};
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -106,7 +106,7 @@ impl RunFolder {
         Err(InputError::new(
             format!("this run has no `{name}` yet"),
             &self.root,
-            format!("run `sms {made_by} {}` first", self.root.display()),
+            format!("run `sms {made_by} {}` first", shell_argument(&self.root)),
         )
         .into())
     }
@@ -116,24 +116,22 @@ impl RunFolder {
         read_record(&self.root.join(name)).map(|r| r.inputs)
     }
 
-    /// Removes a stage and its partial work, because its inputs have changed and it is not run again.
+    /// Renames a stage to `<name>.earlier`, so that no later stage uses it, and returns that folder; `None` if the stage is
+    /// absent. It replaces one that was set aside before. Partial work stays.
     ///
     /// # Errors
     /// [`CoreError::Write`].
-    pub fn discard(&self, name: &str) -> Result<(), CoreError> {
+    pub fn set_aside(&self, name: &str) -> Result<Option<PathBuf>, CoreError> {
         debug_assert!(self.lock.is_some(), "a run that was opened to read");
-        for dir in [format!(".{name}.partial"), format!(".{name}.old"), name.to_owned()] {
-            let dir = self.root.join(dir);
-            // Without its record a stage is absent, so that the removal may be killed at any point.
-            let record = dir.join(RECORD);
-            if record.exists() {
-                fs::remove_file(&record).map_err(CoreError::write(&record))?;
-            }
-            if dir.exists() {
-                fs::remove_dir_all(&dir).map_err(CoreError::write(&dir))?;
-            }
+        let (dir, aside) = (self.root.join(name), self.root.join(format!("{name}.earlier")));
+        if !dir.join(RECORD).is_file() {
+            return Ok(None);
         }
-        Ok(())
+        if aside.exists() {
+            fs::remove_dir_all(&aside).map_err(CoreError::write(&aside))?;
+        }
+        fs::rename(&dir, &aside).map_err(CoreError::write(&dir))?;
+        Ok(Some(aside))
     }
 
     /// Begins a stage with this hash of inputs and settings. With `force` it is run again from the start.
@@ -332,18 +330,18 @@ mod tests {
     }
 
     #[test]
-    fn what_is_discarded_is_gone_and_can_be_made_again() {
+    fn a_stage_that_is_set_aside_is_absent_and_its_files_are_kept() {
         let dir = tempfile::tempdir().unwrap();
         let run = RunFolder::create(dir.path()).unwrap();
-        let hash = hash_serializable(&1);
-        todo(run.begin("plan", &hash, false).unwrap()).commit().unwrap();
-        drop(todo(run.begin("plan", &hash_serializable(&2), false).unwrap()));
-        todo(run.begin("scene", &hash, false).unwrap()).commit().unwrap();
-        run.discard("plan").unwrap();
-        run.discard("never made").unwrap();
-        assert!(run.stage_dir("plan", "plan").is_err() && run.stage_dir("scene", "materialize").is_ok());
-        assert!(!dir.path().join(".plan.partial").exists());
-        todo(run.begin("plan", &hash, false).unwrap()).commit().unwrap();
+        for text in ["first", "second"] {
+            let stage = todo(run.begin("plan", &hash_serializable(&text), false).unwrap());
+            fs::write(stage.dir().join("plan.json"), text).unwrap();
+            stage.commit().unwrap();
+            let aside = run.set_aside("plan").unwrap().unwrap();
+            assert_eq!(fs::read_to_string(aside.join("plan.json")).unwrap(), text);
+            assert!(run.stage_dir("plan", "plan").is_err());
+        }
+        assert_eq!(run.set_aside("plan").unwrap(), None);
     }
 
     #[test]

@@ -25,6 +25,7 @@
 //! # Ok::<(), sms_masks::MasksError>(())
 //! ```
 
+mod carry;
 mod complete;
 mod files;
 mod geometry;
@@ -39,6 +40,7 @@ mod voxels;
 #[cfg(test)]
 mod fixture;
 
+pub use carry::{CarriedOver, save_labels_again};
 pub use complete::{Completed, complete};
 pub use files::FileMasks;
 pub use geometry::{GeometryConfig, GeometryMasks};

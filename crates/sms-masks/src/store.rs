@@ -33,6 +33,16 @@ pub struct LabelRow {
     /// Name of the object that contains this one; the two are merged when labels are read.
     #[serde(default)]
     pub merge_into: Option<String>,
+    /// Name that the source of the masks gave; not to be edited. `None` in a file of an earlier version.
+    #[serde(default)]
+    pub found_as: Option<String>,
+}
+
+impl LabelRow {
+    /// Returns whether the user renamed or merged the object.
+    pub fn is_edited(&self) -> bool {
+        self.merge_into.is_some() || self.found_as.as_ref() != Some(&self.name)
+    }
 }
 
 /// Writes one 16-bit label PNG per frame (`000000.png`, …) and `labels.json` into `dir`.
@@ -40,15 +50,24 @@ pub struct LabelRow {
 /// # Errors
 /// [`MasksError::Write`].
 pub fn save_labels(dir: &Path, labels: &Labels) -> Result<(), MasksError> {
-    for (index, map) in labels.maps.iter().enumerate() {
-        write_png_gray16(&dir.join(format!("{index:06}.png")), map)?;
-    }
     let row = |o: &LabelInfo| {
         let LabelInfo { id, name, description } = o.clone();
-        LabelRow { id, name, description, merge_into: None }
+        LabelRow { id, found_as: Some(name.clone()), name, description, merge_into: None }
     };
-    let objects = labels.objects.iter().map(row).collect();
-    let file = LabelsFile { source: labels.source, frames: labels.maps.len(), objects };
+    save_rows(dir, &labels.maps, labels.source, labels.objects.iter().map(row).collect())
+}
+
+/// Does the same as [`save_labels`] with the rows of `labels.json`.
+pub(crate) fn save_rows(
+    dir: &Path,
+    maps: &[LabelMap],
+    source: MaskSource,
+    objects: Vec<LabelRow>,
+) -> Result<(), MasksError> {
+    for (index, map) in maps.iter().enumerate() {
+        write_png_gray16(&dir.join(format!("{index:06}.png")), map)?;
+    }
+    let file = LabelsFile { source, frames: maps.len(), objects };
     // The index is written last: a folder with `labels.json` is complete.
     atomic::write_json(&dir.join("labels.json"), &file)
 }
@@ -64,9 +83,35 @@ pub fn load_labels(dir: &Path) -> Result<Labels, MasksError> {
     let path = dir.join("labels.json");
     let file: LabelsFile = atomic::read_json(&path)?;
     let targets = check_and_merge(&file, &path)?;
+    let maps = load_maps(dir, file.frames, &targets)?;
+    let mut objects: Vec<LabelInfo> = file
+        .objects
+        .into_iter()
+        .filter(|o| o.merge_into.is_none())
+        .map(|o| LabelInfo { id: o.id, name: o.name, description: o.description })
+        .collect();
+    objects.sort_by_key(|o| o.id);
+    Ok(Labels { maps, objects, source: file.source })
+}
+
+/// Reads the objects and their masks, without merging any.
+///
+/// # Errors
+/// As [`load_labels`].
+pub(crate) fn load_unmerged(dir: &Path) -> Result<(Vec<LabelRow>, Vec<LabelMap>), MasksError> {
+    let path = dir.join("labels.json");
+    let file: LabelsFile = atomic::read_json(&path)?;
+    check_and_merge(&file, &path)?;
+    let own = file.objects.iter().map(|o| (o.id, o.id)).collect();
+    let maps = load_maps(dir, file.frames, &own)?;
+    Ok((file.objects, maps))
+}
+
+/// Reads the masks of all frames and replaces each label by its target.
+fn load_maps(dir: &Path, frames: usize, targets: &BTreeMap<u16, u16>) -> Result<Vec<LabelMap>, MasksError> {
     // No preallocation: the edited file may contain any number.
     let mut maps = Vec::new();
-    for index in 0..file.frames {
+    for index in 0..frames {
         let path = dir.join(format!("{index:06}.png"));
         let mut map = read_png_labels(&path)?;
         if maps.first().is_some_and(|first: &LabelMap| first.size() != map.size()) {
@@ -80,14 +125,7 @@ pub fn load_labels(dir: &Path) -> Result<Labels, MasksError> {
         }
         maps.push(map);
     }
-    let mut objects: Vec<LabelInfo> = file
-        .objects
-        .into_iter()
-        .filter(|o| o.merge_into.is_none())
-        .map(|o| LabelInfo { id: o.id, name: o.name, description: o.description })
-        .collect();
-    objects.sort_by_key(|o| o.id);
-    Ok(Labels { maps, objects, source: file.source })
+    Ok(maps)
 }
 
 /// Reads the objects of `labels.json`, also those that are merged into others, ordered by id. Reads no label maps.

@@ -108,7 +108,7 @@ pub fn without_override(object: &ObjectQuery, table: &MaterialTable) -> Material
 
 /// Looks up the model's words in the table. The material that it names precedes the words of its label: a "glass" of plastic is
 /// plastic.
-fn known_of_estimate(estimate: &Estimate, table: &MaterialTable) -> Option<KnownObjectMaterial> {
+pub(crate) fn known_of_estimate(estimate: &Estimate, table: &MaterialTable) -> Option<KnownObjectMaterial> {
     let words = format!("{} {}", estimate.material, estimate.label);
     let known = table.known(&words)?;
     let Some(class) = table.class_of(&estimate.material) else { return Some(known) };

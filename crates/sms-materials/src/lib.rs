@@ -20,12 +20,14 @@
 //! ```
 
 mod assign;
+mod choices;
 mod estimate;
 mod overrides;
 mod table;
 mod unusual;
 
 pub use assign::{ObjectQuery, assign, without_override};
+pub use choices::{ClassChoice, ClassOrigin, class_choices};
 pub use estimate::Estimate;
 pub use overrides::{ObjectOverride, OverrideInterval, OverrideValue, Overrides};
 pub use table::{ClassEntry, MaterialTable, Range};

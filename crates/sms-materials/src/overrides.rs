@@ -79,6 +79,10 @@ const NUMBERS: [(&str, f64); 8] = [
     ("poissons_ratio", 0.5),
 ];
 
+/// First lines of a saved file.
+const HEADER: &str = "# Material values of the user. `sms` rewrites this file when a value is set or an object\n\
+                      # with values is renamed: it keeps values, but no comments.\n\n";
+
 /// Limits of the mass per enclosed volume, kg/m³: from a foil balloon to osmium.
 const LEAST_EFFECTIVE: f64 = 1.0;
 const MOST_EFFECTIVE: f64 = 25_000.0;
@@ -141,14 +145,15 @@ impl Overrides {
         if path.exists() { Self::read(path) } else { Ok(Self { path: path.to_owned(), ..Self::default() }) }
     }
 
-    /// Writes the file atomically, in the form that [`Overrides::read`] reads.
+    /// Writes the file atomically, in the form that [`Overrides::read`] reads. Comments of an earlier file are lost, which
+    /// the first lines of the new one say.
     ///
     /// # Errors
     /// [`CoreError::Write`].
     pub fn save(&self, path: &Path) -> Result<(), CoreError> {
         let text = toml::to_string(self)
             .map_err(|e| CoreError::Write { path: path.to_owned(), source: std::io::Error::other(e) })?;
-        atomic::write_bytes(path, text.as_bytes())
+        atomic::write_bytes(path, format!("{HEADER}{text}").as_bytes())
     }
 
     /// Sets one value from text: `2400`, or `0.4,0.3,0.5` for best, low and high; a word for `class`. Setting the mass removes
@@ -368,6 +373,7 @@ mod tests {
         o.save(&path).unwrap();
         let read = Overrides::read(&path).unwrap();
         assert_eq!(read.object, o.object);
+        assert!(std::fs::read_to_string(&path).unwrap().starts_with(HEADER));
         assert_eq!(read.object["mug"].friction.unwrap().interval(), Interval::new(0.4, 0.3, 0.5));
         assert!(o.unset("mug", Some("friction")).unwrap());
         assert!(!o.unset("mug", Some("friction")).unwrap(), "it is gone");

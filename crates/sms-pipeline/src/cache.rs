@@ -77,7 +77,7 @@ fn tell_reason(context: &Context, run: &RunFolder, name: &str, hash: &Hash) {
     let reasons = staleness_of(run, name).reasons();
     let reason = match (reasons.is_empty(), before == *hash) {
         (false, _) => reasons.join("; "),
-        (true, false) => "its settings have changed".to_owned(),
+        (true, false) => "its inputs or settings have changed".to_owned(),
         (true, true) if context.force => "--force".to_owned(),
         (true, true) => "another version of the program made it".to_owned(),
     };

@@ -2,6 +2,7 @@
 
 use crate::Settings;
 use sms_core::{Cancel, NoProgress, Progress, Seed, StageContext, Warning, Warnings};
+use std::collections::BTreeMap;
 
 /// An event during a command of a [`Run`](crate::Run).
 #[derive(Debug)]
@@ -44,6 +45,9 @@ pub struct Context {
     pub force: bool,
     /// Receives events.
     pub events: Box<dyn EventSink>,
+    /// Options of the user by command (`scan`, `materialize`, `plan`, `execute`). A run records them, so that printed
+    /// commands repeat them. Empty for a program that has no command line.
+    pub options: BTreeMap<String, Vec<String>>,
 }
 
 impl Default for Context {
@@ -55,6 +59,7 @@ impl Default for Context {
             settings: Settings::default(),
             force: false,
             events: Box::new(()),
+            options: BTreeMap::new(),
         }
     }
 }

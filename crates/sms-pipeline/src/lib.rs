@@ -20,6 +20,7 @@
 //! ```
 
 mod cache;
+mod command_options;
 mod context;
 mod device;
 mod error;

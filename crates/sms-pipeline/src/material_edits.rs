@@ -23,7 +23,7 @@ pub struct ObjectMaterials {
     pub changed: Vec<String>,
     /// Names of the objects of this call's edits.
     pub edited: Vec<String>,
-    /// Names in the file of the edits that belong to no object of the scene.
+    /// Names in the file of the edits that belong to no object of the scene and of the masks; empty without a scene.
     pub unused: Vec<String>,
     /// File of the edits.
     pub edits: PathBuf,
@@ -69,7 +69,10 @@ impl Run<'_> {
         if is_edit {
             overrides.save(&edits)?;
         }
-        let unused = overrides.object.into_keys().filter(|name| !used.object.contains_key(name)).collect();
+        let unused = match &scene_dir {
+            Some(_) => unused(&overrides, &used, &names),
+            None => Vec::new(),
+        };
         let warnings = Warnings::new();
         let materials = assign(&objects, &table, Some(&used), &warnings)?;
         let unusual = warnings.snapshot().into_iter().filter(|w| w.code == MATERIAL_UNUSUAL).collect();
@@ -216,6 +219,14 @@ fn take_back(overrides: &mut Overrides, text: &str, known: Known<'_>) -> Result<
     ))
 }
 
+/// Returns the names of edits that are of no use now and later. The scene lacks some objects of the masks, such as pieces
+/// that were joined to others, but edits of those may be of use again.
+fn unused(edits: &Overrides, used: &Overrides, names: &ObjectNames) -> Vec<String> {
+    let known = names.known().unwrap_or_default();
+    let is_unused = |name: &&String| !used.object.contains_key(*name) && !known.contains(&name.as_str());
+    edits.object.keys().filter(is_unused).cloned().collect()
+}
+
 /// Returns the properties of a material with their names and units.
 pub fn material_properties(m: &Material) -> [(&'static str, Property, &'static str); 7] {
     [
@@ -247,6 +258,32 @@ fn changed(scene_dir: &Path, objects: &[ObjectQuery], materials: &[Material]) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Context;
+    use crate::object_names::fixture::run_with_masks;
+
+    #[test]
+    fn only_values_of_objects_that_are_gone_are_unused() {
+        let dir = tempfile::tempdir().unwrap();
+        drop(run_with_masks(dir.path(), &["mug", "duck"]));
+        let mut edits = Overrides::default();
+        for name in ["mug", "duck", "teapot"] {
+            edits.set(name, "class", "steel").unwrap();
+        }
+        edits.save(&dir.path().join(EDITS)).unwrap();
+        // Without a scene, nothing says which values are of no use.
+        let context = Context::default();
+        let found = Run::new(dir.path(), &context).materials(&[], &["duck".to_owned()]).unwrap();
+        assert_eq!((found.unused, found.objects), (Vec::new(), Vec::new()));
+        let kept = Overrides::read(&found.edits).unwrap();
+        assert_eq!(kept.object.keys().collect::<Vec<_>>(), ["mug", "teapot"]);
+
+        // The scene has only the mug; the duck is an object of the masks.
+        let mut used = edits.clone();
+        used.object.retain(|name, _| name == "mug");
+        let names = ObjectNames::of(&RunFolder::open_to_read(dir.path()).unwrap()).unwrap();
+        assert_eq!(unused(&edits, &used, &names), ["teapot"]);
+        assert_eq!(unused(&edits, &used, &ObjectNames::default()), ["duck", "teapot"]);
+    }
 
     #[test]
     fn only_edited_objects_are_shown() {

@@ -1,7 +1,8 @@
 //! The names of a run's objects by label, and the user's material values that follow them through renames.
 
 use crate::Error;
-use sms_core::{RunFolder, atomic};
+use serde::{Deserialize, Serialize};
+use sms_core::{Hash, RunFolder, atomic};
 use sms_masks::load_label_rows;
 use sms_materials::Overrides;
 use std::collections::BTreeMap;
@@ -13,6 +14,14 @@ pub(crate) const EDITS: &str = "materials.toml";
 const NAMES: &str = "names.json";
 /// Bodies of a scene that are no objects of the masks.
 pub(crate) const FIXED: [&str; 2] = ["environment", "floor"];
+
+/// Content of the file of the labels by name.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct SceneNames {
+    /// Hash of the inputs of the masks with these labels.
+    masks: Option<Hash>,
+    labels: BTreeMap<String, u16>,
+}
 
 /// The names of a run's objects by label.
 #[derive(Debug, Clone, Default)]
@@ -37,7 +46,10 @@ impl ObjectNames {
             None
         };
         let file = run.root().join("scene").join(NAMES);
-        let in_scene = if file.is_file() { atomic::read_json(&file)? } else { BTreeMap::new() };
+        let of_scene = if file.is_file() { atomic::read_json(&file)? } else { SceneNames::default() };
+        // Masks that were made again may have given the labels to other objects.
+        let is_current = of_scene.masks == run.stage_hash("masks");
+        let in_scene = if is_current { of_scene.labels } else { BTreeMap::new() };
         Ok(Self { present, in_scene })
     }
 
@@ -74,10 +86,12 @@ impl ObjectNames {
 /// # Errors
 /// [`Error::Core`] if the file cannot be written.
 pub(crate) fn write_names<'a>(
+    run: &RunFolder,
     scene_dir: &Path,
     objects: impl Iterator<Item = (&'a str, u16)>,
 ) -> Result<(), Error> {
-    let names: BTreeMap<&str, u16> = objects.collect();
+    let labels = objects.map(|(name, label)| (name.to_owned(), label)).collect();
+    let names = SceneNames { masks: run.stage_hash("masks"), labels };
     Ok(atomic::write_json(&scene_dir.join(NAMES), &names)?)
 }
 
@@ -126,13 +140,50 @@ pub(crate) fn follow(edits: Overrides, names: &ObjectNames) -> Followed {
     Followed { overrides: moved.under(here), lost }
 }
 
+/// Returns whether two sets of values differ in a name or a value. Labels do not count: they are derived from the names,
+/// and are no reason to rewrite a file that a user wrote.
+pub(crate) fn differ(a: &Overrides, b: &Overrides) -> bool {
+    let unlabelled = |edits: &Overrides| {
+        let mut objects = edits.object.clone();
+        objects.values_mut().for_each(|values| values.label = None);
+        objects
+    };
+    unlabelled(a) != unlabelled(b)
+}
+
 fn has_label(edits: &Overrides, name: &str, label: u16) -> bool {
     edits.object.get(name).is_some_and(|o| o.label == Some(label))
 }
 
 #[cfg(test)]
+pub(crate) mod fixture {
+    use sms_core::{LabelInfo, Labels, MaskSource, RunFolder};
+    use std::path::Path;
+
+    /// Makes a run that has no result but masks without frames, of objects with these names and the labels 1, 2, ….
+    pub(crate) fn run_with_masks(dir: &Path, names: &[&str]) -> RunFolder {
+        let run = RunFolder::create(dir).unwrap();
+        run.record_settings("test", &serde_json::json!({})).unwrap();
+        let info =
+            |(id, name): (u16, &&str)| LabelInfo { id, name: (*name).to_owned(), description: String::new() };
+        let objects = (1u16..).zip(names).map(info).collect();
+        let labels = Labels { maps: Vec::new(), objects, source: MaskSource::Geometry };
+        sms_masks::save_labels(&dir.join("masks"), &labels).unwrap();
+        run
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn labels_are_no_difference_but_names_and_values_are() {
+        let plain = edits(&[("mug", None, "steel")]);
+        assert!(!differ(&plain, &edits(&[("mug", Some(3), "steel")])));
+        assert!(differ(&plain, &edits(&[("mug", None, "ceramic")])));
+        assert!(differ(&plain, &edits(&[("cup", None, "steel")])));
+    }
 
     fn names(present: &[(u16, &str)], in_scene: &[(&str, u16)]) -> ObjectNames {
         ObjectNames {

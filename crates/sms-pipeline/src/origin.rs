@@ -274,22 +274,44 @@ pub(crate) fn keep_later_origins(run: &RunFolder, stage: &str) -> Result<(), Cor
     Ok(())
 }
 
-/// Records the results that the report page shows, in the page's folder.
-///
-/// # Errors
-/// [`CoreError::Write`].
-pub(crate) fn write_page_origin(run: &RunFolder, page_dir: &Path) -> Result<(), CoreError> {
-    atomic::write_json(&page_dir.join(ORIGIN), &page_sources(run))
+/// The states of everything that a report page shows, by name: the results, the user's edits, and the figures and
+/// warnings, which checks without a result change, too.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub(crate) struct PageSources(BTreeMap<String, Hash>);
+
+impl PageSources {
+    /// Takes the present states, before the page's contents are read: what changes afterwards may be missing in it.
+    pub(crate) fn of(run: &RunFolder) -> Self {
+        let stages = STAGES.iter().map(|(name, _)| Input::Stage(name));
+        let inputs = stages.chain([Input::Merges, Input::Names, Input::Materials]);
+        let states = inputs.filter_map(|input| Some((input.key().to_owned(), input.state(run)?)));
+        let files = [("metrics", run.metrics_path()), ("warnings", run.warnings_path())];
+        let contents =
+            files.into_iter().filter_map(|(name, path)| Some((name.to_owned(), file_hash(&path)?)));
+        Self(states.chain(contents).collect())
+    }
+
+    /// Records them in the page's folder.
+    ///
+    /// # Errors
+    /// [`CoreError::Write`].
+    pub(crate) fn write(&self, page_dir: &Path) -> Result<(), CoreError> {
+        atomic::write_json(&page_dir.join(ORIGIN), self)
+    }
 }
 
 /// Returns whether the report page shows the present results; `None` if there is no page, or its origin is not known.
 pub(crate) fn is_page_current(run: &RunFolder) -> Option<bool> {
-    let shown: BTreeMap<String, Hash> = atomic::read_json(&run.root().join("report").join(ORIGIN)).ok()?;
-    Some(shown == page_sources(run))
+    let shown: PageSources = atomic::read_json(&run.root().join("report").join(ORIGIN)).ok()?;
+    Some(shown == PageSources::of(run))
 }
 
-fn page_sources(run: &RunFolder) -> BTreeMap<String, Hash> {
-    STAGES.iter().filter_map(|(name, _)| Some(((*name).to_owned(), stage_state(run, name)?))).collect()
+/// Returns the hash of a file's content; `None` if it cannot be read.
+fn file_hash(path: &Path) -> Option<Hash> {
+    let mut hasher = Hasher::new();
+    hasher.file(path).ok()?;
+    Some(hasher.finish())
 }
 
 fn read(dir: &Path) -> Option<Origin> {
@@ -322,4 +344,38 @@ fn list(dir: &Path, files: &mut Vec<PathBuf>) -> Result<(), CoreError> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::object_names::fixture::run_with_masks;
+
+    #[test]
+    fn a_page_is_stale_after_checks_and_edits_until_they_are_undone() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = run_with_masks(dir.path(), &["mug"]);
+        std::fs::write(run.metrics_path(), "{}").unwrap();
+        assert_eq!(is_page_current(&run), None);
+        PageSources::of(&run).write(&dir.path().join("report")).unwrap();
+        assert_eq!(is_page_current(&run), Some(true));
+        let labels = dir.path().join("masks/labels.json");
+        let renamed =
+            std::fs::read_to_string(&labels).unwrap().replace("\"name\": \"mug\"", "\"name\": \"cup\"");
+        for (file, text) in [
+            (run.metrics_path(), "{\"simulate.drift_m\": 0.001}"),
+            (run.warnings_path(), "[]"),
+            (dir.path().join(EDITS), "[object.mug]\nclass = \"steel\"\n"),
+            (labels, renamed.as_str()),
+        ] {
+            let before = std::fs::read(&file).ok();
+            std::fs::write(&file, text).unwrap();
+            assert_eq!(is_page_current(&run), Some(false), "{}", file.display());
+            match before {
+                Some(bytes) => std::fs::write(&file, bytes).unwrap(),
+                None => std::fs::remove_file(&file).unwrap(),
+            }
+            assert_eq!(is_page_current(&run), Some(true), "{}", file.display());
+        }
+    }
 }

@@ -18,6 +18,11 @@ pub(crate) fn enlarged(image: &ColorImage, factor: usize) -> ColorImage {
     out
 }
 
+/// Returns width and height of the plate of a text with dots `size` pixels wide.
+pub(crate) fn plate_size(text: &str, size: usize) -> (usize, usize) {
+    ((CELL.0 * text.chars().count() + 1) * size, CELL.1 * size)
+}
+
 /// Draws text on a plate of `color` with dots `size` pixels wide, shifted to stay within the image.
 pub(crate) fn draw_text(
     image: &mut ColorImage,
@@ -26,7 +31,7 @@ pub(crate) fn draw_text(
     size: usize,
     color: [u8; 3],
 ) {
-    let (width, height) = ((CELL.0 * text.chars().count() + 1) * size, CELL.1 * size);
+    let (width, height) = plate_size(text, size);
     let (x, y) = (x.min(image.width.saturating_sub(width)), y.min(image.height.saturating_sub(height)));
     let bright = color.iter().map(|&c| u32::from(c)).sum::<u32>() > 330;
     let ink = if bright { [0; 3] } else { [255; 3] };

@@ -1,7 +1,7 @@
 //! Keeps runs out of the folders of their recordings.
 
 use crate::Error;
-use sms_core::{CoreError, InputError};
+use sms_core::{CoreError, InputError, shell_argument};
 use std::path::{Path, PathBuf};
 
 /// Refuses a run that is its recording's folder or lies in it: the stages of the run would lie among the images, and a
@@ -21,7 +21,7 @@ pub(crate) fn refuse_run_in_recording(run: &Path, recording: &Path) -> Result<()
     };
     let name = real_recording.file_name().map_or_else(|| "my".into(), |name| name.to_string_lossy());
     let beside = real_recording.with_file_name(format!("{name}-run"));
-    let cure = format!("name a folder outside of the recording, such as --out {}", beside.display());
+    let cure = format!("name a folder outside of the recording, such as --out {}", shell_argument(&beside));
     Err(InputError::new(what, run, cure).into())
 }
 

@@ -1,7 +1,8 @@
 //! The stages of a run in the order of the data flow, and the commands that make them.
 
+use crate::command_options::recorded_options;
 use serde::de::DeserializeOwned;
-use sms_core::{RunFolder, atomic};
+use sms_core::{RunFolder, atomic, shell_argument};
 use std::path::Path;
 
 /// The stages in the order of the data flow, with the metrics that each writes.
@@ -25,27 +26,29 @@ pub(crate) fn prefixes(stage: &str) -> &'static [&'static str] {
     STAGES.iter().find(|s| s.0 == stage).map_or(&[], |s| s.1)
 }
 
-/// Returns the command that makes a stage of this run, with the options of the earlier scan and the earlier task.
+/// Returns the command that makes a stage of this run, with the earlier options and the earlier task.
 pub(crate) fn command_of(run: &RunFolder, stage: &str) -> String {
-    let root = shown(run.root());
+    let root = shell_argument(run.root());
+    let repeated = |command: &str| recorded_options(run, command);
     match stage {
         "frames" | "masks" | "gaussians" => scan_command(run),
         "plan" => {
             let kept = run.root().join("plan").join("task.toml");
             let recorded = scan_option::<String>(run, "recording").map(|r| Path::new(&r).join("task.toml"));
             let file = Some(kept).into_iter().chain(recorded).find(|f| f.is_file());
-            format!("sms plan {root} --task {}", file.map_or_else(|| "TASK.toml".to_owned(), |f| shown(&f)))
+            let file = file.map_or_else(|| "TASK.toml".to_owned(), |f| shell_argument(&f));
+            format!("sms plan {root} --task {file}{}", repeated("plan"))
         }
-        "target" => format!("sms execute {root}"),
+        "target" => format!("sms execute {root}{}", repeated("execute")),
         "robot" => format!("sms robot {root}"),
-        _ => format!("sms materialize {root}"),
+        _ => format!("sms materialize {root}{}", repeated("materialize")),
     }
 }
 
 fn scan_command(run: &RunFolder) -> String {
-    let recording =
-        scan_option::<String>(run, "recording").map_or("RECORDING".to_owned(), |r| shown(Path::new(&r)));
-    let mut command = format!("sms scan {recording} --out {}", shown(run.root()));
+    let recording = scan_option::<String>(run, "recording")
+        .map_or("RECORDING".to_owned(), |r| shell_argument(Path::new(&r)));
+    let mut command = format!("sms scan {recording} --out {}", shell_argument(run.root()));
     for (key, usual) in [("preset", "standard"), ("masks", "geometry")] {
         if let Some(value) = scan_option::<String>(run, key).filter(|v| v != usual) {
             command += &format!(" --{key} {value}");
@@ -59,23 +62,13 @@ fn scan_command(run: &RunFolder) -> String {
             command += &format!(" --{key} {value}");
         }
     }
-    command
+    command + &recorded_options(run, "scan")
 }
 
 /// Returns an option of the scan from `run.toml`; `None` if it is absent or of another type.
 pub(crate) fn scan_option<T: DeserializeOwned>(run: &RunFolder, key: &str) -> Option<T> {
     let table: toml::Table = atomic::read_toml(&run.root().join("run.toml")).ok()?;
     table.get("run")?.get(key)?.clone().try_into().ok()
-}
-
-/// Returns a path as an argument for a shell.
-pub(crate) fn shown(path: &Path) -> String {
-    let text = path.display().to_string();
-    let is_plain = |c: char| c.is_alphanumeric() || "/._-+=:,@~".contains(c);
-    if !text.is_empty() && text.chars().all(is_plain) {
-        return text;
-    }
-    format!("'{}'", text.replace('\'', "'\\''"))
 }
 
 #[cfg(test)]
@@ -90,21 +83,20 @@ mod tests {
         let settings = serde_json::json!({"recording": "/data/desk", "preset": "draft", "masks": "geometry",
             "holdout": 8, "seed": u64::MAX});
         run.record_settings("run", &settings).unwrap();
+        let options =
+            serde_json::json!({"scan": ["--up", "0,0,1"], "materialize": ["--materials", "my file.toml"]});
+        std::fs::write(root.join("commands.json"), options.to_string()).unwrap();
         let quoted = format!("'{}'", root.display());
-        let scan =
-            format!("sms scan /data/desk --out {quoted} --preset draft --holdout 8 --seed {}", u64::MAX);
+        let scan = format!(
+            "sms scan /data/desk --out {quoted} --preset draft --holdout 8 --seed {} --up 0,0,1",
+            u64::MAX
+        );
         assert_eq!(command_of(&run, "gaussians"), scan);
         assert_eq!(command_of(&run, "plan"), format!("sms plan {quoted} --task TASK.toml"));
         std::fs::create_dir(root.join("plan")).unwrap();
         std::fs::write(root.join("plan/task.toml"), "").unwrap();
         let task = root.join("plan/task.toml");
         assert_eq!(command_of(&run, "plan"), format!("sms plan {quoted} --task '{}'", task.display()));
-        assert_eq!(command_of(&run, "scene"), format!("sms materialize {quoted}"));
-    }
-
-    #[test]
-    fn a_path_is_one_argument() {
-        assert_eq!(shown(Path::new("runs/desk-1")), "runs/desk-1");
-        assert_eq!(shown(Path::new("it's")), "'it'\\''s'");
+        assert_eq!(command_of(&run, "scene"), format!("sms materialize {quoted} --materials 'my file.toml'"));
     }
 }

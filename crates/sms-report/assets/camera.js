@@ -1,4 +1,4 @@
-// The camera of the 3-D view: free, or at a recorded view with the photograph over the scene.
+// The camera of the 3-D view is free, or stands at a recorded view with the photograph over the scene.
 SMS.makeCamera = function (canvas, box, views, middle, changed) {
   'use strict';
   const camera = new THREE.PerspectiveCamera(45, 1, 0.01, 50);
@@ -13,7 +13,7 @@ SMS.makeCamera = function (canvas, box, views, middle, changed) {
   let shown = -1;
   let last = 0;
 
-  // The photograph's rectangle in the canvas: as large as fits, centred.
+  // The photograph lies in the middle of the canvas and is as large as fits.
   const rectangle = () => {
     const [w, h] = lens;
     const scale = Math.min(box.clientWidth / w, box.clientHeight / h);
@@ -54,7 +54,7 @@ SMS.makeCamera = function (canvas, box, views, middle, changed) {
     lens = view.lens;
     const p = view.pose;
     camera.position.set(p[0], p[1], p[2]);
-    // Camera axes of OpenCV (z forward) to those of OpenGL (z backward).
+    // The pose has the camera axes of OpenCV (z forward), the view those of OpenGL (z backward).
     camera.quaternion.set(p[3], p[4], p[5], p[6]).multiply(flip);
     const forward = camera.getWorldDirection(new THREE.Vector3());
     const distance = Math.max(0.1, middle.clone().sub(camera.position).dot(forward));
@@ -76,7 +76,7 @@ SMS.makeCamera = function (canvas, box, views, middle, changed) {
     show((next + views.length) % views.length);
   };
   controls.addEventListener('change', () => { leave(); changed(); });
-  // Turns about the target by radians, and moves nearer by a factor.
+  // This turns the camera about the target by radians, and multiplies its distance by a factor.
   const turn = (around, up, factor) => {
     leave();
     const offset = camera.position.clone().sub(controls.target);
@@ -104,7 +104,7 @@ SMS.makeCamera = function (canvas, box, views, middle, changed) {
   element('previous').onclick = () => step(-1);
   element('recorded').hidden = views.length === 0;
   return {
-    camera, controls, resize, show, leave,
+    camera, controls, resize, show,
     update: () => { if (shown < 0) controls.update(); },
   };
 };

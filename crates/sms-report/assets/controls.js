@@ -1,4 +1,4 @@
-// Player, layers, names and highlights of the 3-D view.
+// This file controls the player, the layers, the names and the highlights of the 3-D view.
 'use strict';
 SMS.makePlayer = function ({ predicted, realised, arms, movers, follow, changed }) {
   const element = (id) => document.getElementById(id);
@@ -12,7 +12,7 @@ SMS.makePlayer = function ({ predicted, realised, arms, movers, follow, changed 
     const choice = which.value;
     follow(choice === 'realised' ? realised : predicted, time, 'solid', arms.predicted);
     follow(realised, time, 'ghost', arms.realised);
-    // A ghost on top of its body is redundant and tints it: hide it.
+    // A ghost on top of its body is redundant and tints it, so that it is hidden.
     for (const mover of Object.values(movers)) {
       const apart = mover.ghost.position.distanceTo(mover.solid.position) > 0.002
         || mover.ghost.quaternion.angleTo(mover.solid.quaternion) > 0.02;
@@ -55,7 +55,7 @@ SMS.makePlayer = function ({ predicted, realised, arms, movers, follow, changed 
   };
 };
 
-SMS.makePanel = function ({ canvas, box, layers, layer, movers, splats, camera, changed }) {
+SMS.makePanel = function ({ canvas, box, layers, movers, splats, camera, changed }) {
   const element = (id) => document.getElementById(id);
   const panel = element('layers');
   const names = element('names');
@@ -71,7 +71,7 @@ SMS.makePanel = function ({ canvas, box, layers, layer, movers, splats, camera, 
     show();
     panel.append(button);
   };
-  // Gaussians and meshes show the same surfaces: one hides the other.
+  // Gaussians and meshes show the same surfaces, so that one hides the other.
   const solid = ['Meshes', 'Floor', 'Convex parts'];
   for (const [name, group] of Object.entries(layers)) {
     if (group.children.length === 0) continue;
@@ -94,7 +94,7 @@ SMS.makePanel = function ({ canvas, box, layers, layer, movers, splats, camera, 
     });
   }
 
-  // Names over the objects.
+  // Each object has its name above it.
   const tags = Object.values(movers).filter((m) => m.body.label || m.body.kind === 'dynamic').map((mover) => {
     const tag = document.createElement('span');
     tag.textContent = mover.body.name;
@@ -120,7 +120,7 @@ SMS.makePanel = function ({ canvas, box, layers, layer, movers, splats, camera, 
     }
   };
 
-  // The body under the pointer.
+  // The pointer names and highlights the body under it.
   const ray = new THREE.Raycaster();
   const at = new THREE.Vector2();
   const aim = (event) => {

@@ -1,11 +1,11 @@
-// Gaussians as blended splats: sorted from back to front, premultiplied, as large as their covariance appears.
+// Gaussians are drawn as blended splats: sorted from back to front, premultiplied, as large as their covariance appears.
 SMS.makeSplats = function (source, bytes) {
   'use strict';
   const count = source.count;
   const steps = new Uint16Array(bytes(source.pos).buffer);
   const rest = bytes(source.rest);
   const centers = new Float32Array(3 * count);
-  // Four texels for each Gaussian: centre and opacity; two of the covariance and the colour of its label; its colour.
+  // Each Gaussian has four texels: centre and opacity; two of the covariance and the colour of its label; its colour.
   const width = 1024;
   const height = Math.ceil(4 * count / width);
   const texels = new Float32Array(4 * width * height);
@@ -58,12 +58,12 @@ SMS.makeSplats = function (source, bytes) {
         vec4 clip = projectionMatrix * p;
         gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
         if (p.z > -0.02 || abs(clip.x) > 1.3 * clip.w || abs(clip.y) > 1.3 * clip.w) return;
-        // Perspective, linear around the centre: pixels per metre.
+        // The perspective is linear around the centre: f is in pixels per metre.
         vec2 f = 0.5 * view * vec2(projectionMatrix[0][0], projectionMatrix[1][1]);
         mat3 j = mat3(-f.x / p.z, 0.0, 0.0, 0.0, -f.y / p.z, 0.0, f.x * p.x / (p.z * p.z), f.y * p.y / (p.z * p.z), 0.0);
         mat3 t = j * mat3(modelViewMatrix);
         mat3 s = t * mat3(b.x, b.y, b.z, b.y, b.w, c.x, b.z, c.x, c.y) * transpose(t);
-        // A third of a pixel against aliasing.
+        // A third of a pixel is added against aliasing.
         float xx = s[0][0] + 0.3, yy = s[1][1] + 0.3, xy = s[0][1];
         float middle = 0.5 * (xx + yy);
         float reach = length(vec2(0.5 * (xx - yy), xy));
@@ -86,7 +86,7 @@ SMS.makeSplats = function (source, bytes) {
   const mesh = new THREE.Mesh(geometry, material);
   mesh.frustumCulled = false;
 
-  // Sorts by the distance along the viewing direction: a counting sort with 16 bits.
+  // A counting sort with 16 bits orders the Gaussians by their distance along the viewing direction.
   const keys = new Uint32Array(count);
   const starts = new Uint32Array(65537);
   const direction = new THREE.Vector3();

@@ -1,5 +1,6 @@
-// The 3-D view of the report. World: metres, z up. Bodies are drawn at their poses in the planner's scene. Realised
-// motion is applied relative to each body's first state, because the target world has its own body frames.
+// This file draws the 3-D view of the report. The world is in metres, with z up. Bodies are drawn at their poses in the
+// planner's scene. Realised motion is applied relative to each body's first state, because the target world has its own
+// body frames.
 (function () {
   'use strict';
   const element = (id) => document.getElementById(id);
@@ -27,8 +28,8 @@
   const sun = new THREE.DirectionalLight(0xffffff, 1.6);
   sun.position.set(-0.6, 0.5, 1.6);
   scene.add(sun);
-  let stale = true;
-  const changed = () => { stale = true; };
+  let needsDrawing = true;
+  const changed = () => { needsDrawing = true; };
   matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => { background(); changed(); });
 
   const layers = {};
@@ -44,7 +45,7 @@
   const pictureOf = (address) => {
     const texture = new THREE.Texture();
     texture.colorSpace = THREE.SRGBColorSpace;
-    // Charts of a baked texture are neighbours only in the image: no smaller versions that would mix them.
+    // Charts of a baked texture are neighbours only in the image, so that smaller versions would mix them.
     texture.generateMipmaps = false;
     texture.minFilter = THREE.LinearFilter;
     const image = new Image();
@@ -70,7 +71,7 @@
     geometry.computeVertexNormals();
     return geometry;
   };
-  // The same surface with texture coordinates, which differ between the triangles of a vertex.
+  // Texture coordinates differ between the triangles of a vertex, so that the triangles share no vertices.
   const texturedOf = (geometry, mesh) => {
     const split = geometry.toNonIndexed();
     split.setAttribute('uv', new THREE.BufferAttribute(Float32Array.from(shorts(mesh.uv), (v) => v / 65535), 2));
@@ -79,7 +80,7 @@
   const colorOf = (c) => new THREE.Color().setRGB(c[0] / 255, c[1] / 255, c[2] / 255, THREE.SRGBColorSpace);
   const palette = [0x4d86f0, 0xf0a84d, 0x5fc08a, 0xd96aa8, 0x9b7ce8, 0x55c5d6, 0xd9d25a, 0xe8735f];
 
-  // Bodies. Photographs contain their light already, so that what has their colours is not lit again.
+  // Photographs contain their light already, so that bodies with their colours are not lit again.
   const meshes = layer('Meshes', true);
   const bounds = new THREE.Box3();
   const movers = {};
@@ -137,15 +138,16 @@
     }
     for (const object of [mover.solid, mover.hulls, mover.ghost]) setPose(object, body.pose);
     meshes.add(mover.solid);
-    layer('Convex parts', false).add(mover.hulls);
+    // A large scene is sent without its convex parts.
+    if (body.parts.length) layer('Convex parts', false).add(mover.hulls);
     movers[body.name] = mover;
   }
 
-  // Gaussians.
+  // Gaussians are hidden at first, because the meshes show the same surfaces.
   const splats = data.splats && SMS.makeSplats(data.splats, bytes);
   if (splats) layer('Gaussians', false).add(splats.mesh);
 
-  // Goal and striker.
+  // The goal is a target of three rings on the floor.
   if (data.goal) {
     [[0, 0.015, 0xd93333], [0.015, 0.03, 0xffffff], [0.03, 0.045, 0xd93333]].forEach(([a, b, color], i) => {
       const ring = new THREE.Mesh(new THREE.RingGeometry(a, b, 48),
@@ -163,13 +165,13 @@
     return mesh;
   };
 
-  // Motion.
+  // A motion has the times and the poses of its bodies, seven numbers each.
   const motion = (source) => {
     if (!source) return null;
     const bodies = {};
     for (const [name, text] of Object.entries(source.bodies)) bodies[name] = floats(text);
     const times = floats(source.times);
-    // The finger is removed after its sweep: show it until the first jump.
+    // The finger is removed after its sweep, so that it is shown until the first jump.
     let sweep = times.length ? times[times.length - 1] : 0;
     const arm = bodies.striker;
     for (let i = 1; arm && i < times.length; i++) {
@@ -180,9 +182,10 @@
   const predicted = motion(data.predicted);
   const realised = motion(data.realised);
   const arms = { predicted: striker(0x30343a, 1), realised: striker(realisedColor, 0.45) };
-  meshes.add(arms.predicted);
+  // Without a motion, the arm is no reason for a button of the meshes.
+  if (predicted) meshes.add(arms.predicted);
   if (realised) layer('Realised', true).add(arms.realised);
-  // A path, or nothing for a body that rests: 3 mm are below what the picture resolves.
+  // A body that rests has no path: the picture does not resolve 3 mm.
   const addPath = (name, track, color) => {
     const points = new Float32Array(track.length / 7 * 3);
     let moved = 0;
@@ -228,7 +231,7 @@
       }
       const mover = movers[name];
       if (!mover) continue;
-      // Relative motion since the first state, applied to the scanned pose.
+      // The motion since the first state is applied to the scanned pose.
       sample(m, track, 0, p0, q0);
       sample(m, track, time, p1, qa);
       const turn = qa.clone().multiply(q0.invert());
@@ -245,7 +248,10 @@
   // The camera starts at the first recorded view, or looks at everything that moves.
   if (bounds.isEmpty() && data.splats) {
     bounds.set(new THREE.Vector3(...data.splats.low), new THREE.Vector3(...data.splats.high));
-    layer('Gaussians').visible = true;
+    // Bodies that cannot move are visible, too.
+    const hasMeshes = meshes.children.length > 0;
+    layers.Gaussians.visible = !hasMeshes;
+    if (!hasMeshes && layers.Floor) layers.Floor.visible = false;
   }
   const middle = bounds.isEmpty() ? new THREE.Vector3() : bounds.getCenter(new THREE.Vector3());
   const reach = Math.max(0.35, bounds.isEmpty() ? 1 : bounds.getSize(new THREE.Vector3()).length());
@@ -257,7 +263,7 @@
     view.camera.position.set(middle.x - 0.8 * reach, middle.y - 0.35 * reach, middle.z + 0.5 * reach);
   }
   const player = SMS.makePlayer({ predicted, realised, arms, movers, follow, changed });
-  SMS.makePanel({ canvas, box, layers, layer, movers, splats, camera: view.camera, changed });
+  SMS.makePanel({ canvas, box, layers, movers, splats, camera: view.camera, changed });
 
   const size = new THREE.Vector2();
   const resize = () => {
@@ -271,8 +277,8 @@
     player.advance((now - before) / 1000);
     before = now;
     view.update();
-    if (stale) {
-      stale = false;
+    if (needsDrawing) {
+      needsDrawing = false;
       if (splats) splats.prepare(view.camera, renderer.getDrawingBufferSize(size));
       renderer.render(scene, view.camera);
       SMS.placeNames();

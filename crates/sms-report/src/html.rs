@@ -9,7 +9,7 @@ use std::path::Path;
 
 /// Colours of predicted and of realised motion and values, in all figures.
 pub(crate) const PREDICTED: &str = "#2563c9";
-pub(crate) const REALISED: &str = "#d9600d";
+pub(crate) const REALISED: &str = "#bf520a";
 /// Id of the page's photograph, which the labelled picture and the 3-D view also show.
 pub(crate) const PHOTO_ID: &str = "photo";
 

@@ -3,6 +3,7 @@
 use crate::contour::{outlines, path_data};
 use crate::html::{PHOTO_ID, rgb};
 use crate::input::ReportInput;
+use crate::name_text::{half_width, inside, lowest};
 use crate::photo::{RecordedView, crop, photo_address};
 use sms_core::{BACKGROUND, ColorImage, LabelMap, escape_xml};
 use sms_frames::resize_color;
@@ -14,8 +15,6 @@ const OBJECT_SIDE: usize = 200;
 const OBJECT_MARGIN: f64 = 0.2;
 /// Height of the names as a share of the picture's width: about 14 pixels in a column of half a desktop page.
 const TEXT_SHARE: f64 = 1.0 / 38.0;
-/// Mean width of a character, as a share of its height.
-const CHARACTER: f64 = 0.58;
 
 /// An object with a name.
 #[derive(Debug, Clone, PartialEq)]
@@ -123,16 +122,15 @@ fn placed_names<'a>(
 ) -> Vec<(&'a Named<'a>, (f64, f64))> {
     let (w, h) = (labels.width as f64, labels.height as f64);
     let mut placed: Vec<(&Named<'_>, (f64, f64))> = Vec::new();
-    let half = |o: &Named<'_>| 0.5 * CHARACTER * size * o.name.chars().count() as f64;
+    let half = |o: &Named<'_>| half_width(o.name, size);
     for object in objects {
-        let Some((x, y)) = center_pixel(labels, object.label) else { continue };
-        let reach = half(object).min(0.5 * w);
-        let x = x.clamp(reach, w - reach);
-        let mut y = y.clamp(size, (h - 0.4 * size).max(size));
+        let Some(center) = center_pixel(labels, object.label) else { continue };
+        let (x, mut y) = inside(object.name, size, center, (w, h));
         let hits = |y: f64, placed: &[(&Named<'_>, (f64, f64))]| {
+            let reach = half(object);
             placed.iter().any(|(o, (ox, oy))| (ox - x).abs() < half(o) + reach && (oy - y).abs() < size)
         };
-        while hits(y, &placed) && y + size <= h - 0.4 * size {
+        while hits(y, &placed) && y + size <= lowest(size, h) {
             y += 0.5 * size;
         }
         placed.push((object, (x, y)));
@@ -278,7 +276,7 @@ mod tests {
         let placed = placed_names(&labels, &objects, 5.0);
         assert_eq!(placed.len(), 3);
         for (object, (x, y)) in &placed {
-            let half = 0.5 * CHARACTER * 5.0 * object.name.len() as f64;
+            let half = half_width(object.name, 5.0);
             assert!(x - half >= 0.0 && x + half <= 100.0 && *y >= 5.0 && *y <= 60.0, "{object:?} {x} {y}");
         }
         assert!((placed[1].1.1 - placed[2].1.1).abs() >= 5.0, "names of neighbours do not overlap");

@@ -15,6 +15,7 @@ mod labelled;
 mod landing;
 #[cfg(feature = "rerun")]
 mod live;
+mod name_text;
 mod objects;
 mod page;
 mod photo;
@@ -28,6 +29,7 @@ mod summary;
 mod textures;
 mod top_view;
 mod view3d;
+mod viewer;
 
 pub use colormap::{depth_picture, error_picture, label_picture, turbo};
 pub use figures::ViewPair;

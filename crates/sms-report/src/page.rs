@@ -10,7 +10,7 @@ use crate::landing::{landing_section, landing_svg};
 use crate::objects::objects_section;
 use crate::shot::shot_svg;
 use crate::summary::{cards, result_sentence};
-use crate::view3d::{Detail, view_data};
+use crate::viewer::with_viewer;
 use serde_json::Value;
 use sms_core::metrics::Metrics;
 use sms_core::{ColorImage, CoreError, Warning, atomic, escape_xml};
@@ -19,28 +19,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 const TEMPLATE: &str = include_str!("../assets/page.html");
-const VIEWER_HTML: &str = include_str!("../assets/viewer.html");
 const STYLE: &str = include_str!("../assets/page.css");
-const LINKS: &str = include_str!("../assets/page.js");
-/// The 3-D view; the last one uses the others.
-const VIEWER: [&str; 4] = [
-    include_str!("../assets/splats.js"),
-    include_str!("../assets/camera.js"),
-    include_str!("../assets/controls.js"),
-    include_str!("../assets/viewer.js"),
-];
-const THREE: &str = include_str!("../assets/three.bundle.js");
-const THREE_LICENSE: &str = include_str!("../assets/three.LICENSE");
-
-/// Largest size of the page, bytes: what mail programs and code hosts accept and show.
-const LARGEST_PAGE: usize = 6_000_000;
-/// Contents of the 3-D view, from the fullest to the smallest; the page has the first that fits.
-const DETAILS: [Detail; 4] = [
-    Detail { splats: 60_000, texture_bytes: 1_800_000, views: 12 },
-    Detail { splats: 40_000, texture_bytes: 1_000_000, views: 8 },
-    Detail { splats: 20_000, texture_bytes: 500_000, views: 6 },
-    Detail { splats: 0, texture_bytes: 250_000, views: 3 },
-];
 
 /// Writes `index.html` and its pictures into `dir`; returns the page's path.
 ///
@@ -73,35 +52,6 @@ pub fn write_report(dir: &Path, input: &ReportInput<'_>) -> Result<PathBuf, Core
     let path = dir.join("index.html");
     atomic::write_bytes(&path, page.as_bytes())?;
     Ok(path)
-}
-
-/// Adds the 3-D view if there is anything to show in it: as full as the page's size permits.
-fn with_viewer(page: &str, input: &ReportInput<'_>) -> String {
-    let script = |s: &str| format!("<script>{s}</script>\n");
-    if input.gaussians.is_none() && input.scene.is_none() {
-        let parts = [("viewer", String::new()), ("scripts", script(LINKS))];
-        return fill_late(page, &parts);
-    }
-    let three = format!("/*\n{THREE_LICENSE}*/\n{THREE}");
-    let code: String = [three.as_str(), LINKS].iter().chain(&VIEWER).map(|s| script(s)).collect();
-    let room = LARGEST_PAGE.saturating_sub(page.len() + VIEWER_HTML.len() + code.len() + 100);
-    // `</` would end the script element.
-    let mut candidates = DETAILS.iter().map(|d| view_data(input, d).to_string().replace("</", "<\\/"));
-    let mut data = candidates.next().unwrap_or_default();
-    for smaller in candidates {
-        if data.len() <= room {
-            break;
-        }
-        data = smaller;
-    }
-    let data = format!("<script type=\"application/json\" id=\"data\">{data}</script>\n");
-    fill_late(page, &[("viewer", VIEWER_HTML.to_owned()), ("scripts", data + &code)])
-}
-
-/// Replaces the two comments that stand for the 3-D view in the page, which are last in the template. Text of users is
-/// escaped, so that it contains no comments.
-fn fill_late(page: &str, parts: &[(&str, String); 2]) -> String {
-    parts.iter().fold(page.to_owned(), |page, (name, text)| page.replacen(&format!("<!--{name}-->"), text, 1))
 }
 
 /// Replaces each `{{name}}` in one pass, so that inserted text is not searched again.
@@ -296,7 +246,6 @@ mod tests {
     use super::*;
     use glamx::{DPose3, DVec3};
     use sms_core::{MassProperties, Mesh};
-    use sms_gaussians::GaussianModel;
     use sms_plan::Plan;
     use sms_scene::{Body, BodyKind, BodyShape, Scene, example_material, floor_body};
     use sms_sim::BodyState;
@@ -381,9 +330,7 @@ mod tests {
 
     fn written(input: &ReportInput<'_>) -> String {
         let dir = tempfile::tempdir().unwrap();
-        let page = std::fs::read_to_string(write_report(dir.path(), input).unwrap()).unwrap();
-        assert!(page.len() <= LARGEST_PAGE, "{}", page.len());
-        page
+        std::fs::read_to_string(write_report(dir.path(), input).unwrap()).unwrap()
     }
 
     #[test]
@@ -434,32 +381,5 @@ mod tests {
         assert!(places.is_sorted(), "{places:?}");
         assert!(page.contains("sms report a&lt;b&gt;") && page.contains("on 1970-01-01 (UTC)"));
         assert!(page.contains(&format!("sms {}", env!("CARGO_PKG_VERSION"))));
-    }
-
-    #[test]
-    fn a_page_with_too_much_is_thinned() {
-        let n = 200_000usize;
-        let gaussians = GaussianModel {
-            // Positions and colours without a pattern.
-            positions_w: (0..n as u32)
-                .map(|i| [0u32, 1, 2].map(|k| (i.wrapping_mul(2_654_435_761) >> (8 * k) & 255) as f32).into())
-                .collect(),
-            rotations_wg: vec![glamx::Quat::IDENTITY; n],
-            scales: vec![glamx::Vec3::ONE; n],
-            opacities: vec![0.5; n],
-            colors: vec![[0.5; 3]; n],
-            labels: vec![0; n],
-            ..GaussianModel::default()
-        };
-        let settings_toml = "x".repeat(4_200_000);
-        let data = |input: &ReportInput<'_>| {
-            let page = written(input);
-            let start = page.find("id=\"data\">").unwrap() + 10;
-            let end = start + page[start..].find("</script>").unwrap();
-            serde_json::from_str::<Value>(&page[start..end]).unwrap()["splats"]["count"].as_u64().unwrap()
-        };
-        let all = ReportInput { gaussians: Some(&gaussians), ..ReportInput::default() };
-        let crowded = ReportInput { gaussians: Some(&gaussians), settings_toml, ..ReportInput::default() };
-        assert!(data(&all) > 40_000 && data(&crowded) <= 40_000);
     }
 }

@@ -1,6 +1,7 @@
 //! A scene from above, as SVG: outlines, paths, a goal.
 
 use crate::html::rgb;
+use crate::name_text::inside;
 use glamx::DVec2;
 use serde::{Deserialize, Serialize};
 use sms_core::escape_xml;
@@ -8,9 +9,8 @@ use std::fmt::Write;
 
 const MARGIN_M: f64 = 0.15;
 const BACKGROUND: &str = "#f4f1ea";
-/// Height of names, pixels, and the mean width of a character as a share of it.
+/// Height of names, pixels.
 const NAME_PX: f64 = 15.0;
-const CHARACTER: f64 = 0.58;
 
 /// Outline of a body in the xy plane of the world, metres.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -234,10 +234,8 @@ impl SvgCanvas {
         }
         if let Some((low, high)) = outline.bounds().filter(|_| named) {
             let c = self.at(0.5 * (low + high));
-            // The whole name stays inside the picture.
-            let (w, h) = (self.size.x * self.scale, self.size.y * self.scale);
-            let half = (0.5 * CHARACTER * NAME_PX * outline.name.chars().count() as f64).min(0.5 * w);
-            let (x, y) = (c.x.clamp(half, w - half), (c.y + 4.0).clamp(NAME_PX.min(h), h));
+            let size = (self.size.x * self.scale, self.size.y * self.scale);
+            let (x, y) = inside(&outline.name, NAME_PX, (c.x, c.y + 4.0), size);
             let _ = write!(
                 svg,
                 "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"{NAME_PX}\" text-anchor=\"middle\" fill=\"#222\" \

@@ -22,6 +22,8 @@ pub(crate) struct Detail {
     pub texture_bytes: usize,
     /// Largest number of recorded views.
     pub views: usize,
+    /// Whether the convex parts of the bodies are included.
+    pub convex_parts: bool,
 }
 
 fn floats(values: impl IntoIterator<Item = f64>) -> String {
@@ -57,9 +59,10 @@ fn pose_value(pose: &DPose3) -> Value {
     json!([t.x, t.y, t.z, q.x, q.y, q.z, q.w])
 }
 
-fn body_value(body: &Body, picture: Option<&String>, role: Option<&str>) -> Value {
+fn body_value(body: &Body, picture: Option<&String>, role: Option<&str>, convex_parts: bool) -> Value {
     let texture = picture.and(body.texture.as_ref()).and_then(|t| fitting(&body.visual, t));
-    let parts: Vec<Value> = body.shape.meshes().iter().map(|m| mesh_value(m, None)).collect();
+    let shapes = if convex_parts { body.shape.meshes() } else { Vec::new() };
+    let parts: Vec<Value> = shapes.iter().map(|m| mesh_value(m, None)).collect();
     let visual = (!body.visual.triangles.is_empty()).then(|| mesh_value(&body.visual, texture));
     json!({
         "name": body.name,
@@ -106,7 +109,8 @@ fn views_value(views: &[RecordedView], limit: usize) -> Vec<Value> {
         .collect()
 }
 
-fn floor_value(input: &ReportInput<'_>) -> Option<Value> {
+/// Returns the image of the floor as data of the page; `None` if no view shows it.
+pub(crate) fn floor_value(input: &ReportInput<'_>) -> Option<Value> {
     let body = input.scene?.bodies.iter().find(|b| matches!(b.shape, BodyShape::HalfSpace))?;
     let floor = floor_image(&input.recorded, &body.x_wb)?;
     Some(json!({
@@ -117,18 +121,19 @@ fn floor_value(input: &ReportInput<'_>) -> Option<Value> {
     }))
 }
 
-/// Returns the data for the page's script.
-pub(crate) fn view_data(input: &ReportInput<'_>, detail: &Detail) -> Value {
+/// Returns the data for the page's script. `floor` comes from [`floor_value`]; it is the same for all details.
+pub(crate) fn view_data(input: &ReportInput<'_>, detail: &Detail, floor: Option<&Value>) -> Value {
     let scene = input.scene.map(|s| with_vehicle(s, input.landing.as_ref()));
     let bodies = scene.as_deref().map(|s| s.bodies.as_slice()).unwrap_or_default();
     let pictures = texture_addresses(bodies, detail.texture_bytes);
     let role = |name: &str| input.roles.iter().find(|r| r.0 == name).map(|r| r.1.as_str());
-    let bodies: Vec<Value> =
-        bodies.iter().zip(&pictures).map(|(b, p)| body_value(b, p.as_ref(), role(&b.name))).collect();
+    let of_body =
+        |(b, p): (&Body, &Option<String>)| body_value(b, p.as_ref(), role(&b.name), detail.convex_parts);
+    let bodies: Vec<Value> = bodies.iter().zip(&pictures).map(of_body).collect();
     json!({
         "splats": input.gaussians.and_then(|g| splats_value(g, detail.splats)),
         "bodies": bodies,
-        "floor": floor_value(input),
+        "floor": floor,
         "views": views_value(&input.recorded, detail.views),
         "goal": input.goal_w,
         "striker": input.striker_half_m,
@@ -141,10 +146,14 @@ pub(crate) fn view_data(input: &ReportInput<'_>, detail: &Detail) -> Value {
 mod tests {
     use super::*;
     use glamx::DVec3;
-    use sms_core::Image;
+    use sms_core::{Camera, Image, Intrinsics};
     use sms_scene::{Scene, example_material, floor_body};
 
-    const ALL: Detail = Detail { splats: 100, texture_bytes: usize::MAX, views: 12 };
+    const ALL: Detail = Detail { splats: 100, texture_bytes: usize::MAX, views: 12, convex_parts: true };
+
+    fn view_data(input: &ReportInput<'_>, detail: &Detail) -> Value {
+        super::view_data(input, detail, floor_value(input).as_ref())
+    }
 
     fn scene(texture: Option<MeshTexture>) -> Scene {
         let mut visual = Mesh::cuboid(DVec3::splat(0.05));
@@ -179,6 +188,12 @@ mod tests {
         assert_eq!(body["label"], json!(sms_masks::label_color(3)));
         assert!(value["bodies"][0]["label"].is_null(), "the floor is no object");
 
+        // The sphere is one convex part.
+        assert_eq!(body["parts"].as_array().unwrap().len(), 1);
+        let without = view_data(&input, &Detail { convex_parts: false, ..ALL });
+        assert_eq!(without["bodies"][1]["parts"], json!([]));
+        assert_eq!(without["bodies"][1]["visual"], body["visual"]);
+
         // Without room for pictures, and without a texture, the colours of the vertices are sent.
         let plain = scene(None);
         let untextured = ReportInput { scene: Some(&plain), ..ReportInput::default() };
@@ -188,5 +203,28 @@ mod tests {
             assert!(body["picture"].is_null() && body["visual"]["uv"].is_null());
             assert_eq!(body["visual"]["c"].as_str().unwrap().len(), 32);
         }
+    }
+
+    #[test]
+    fn the_first_recorded_camera_comes_first_with_its_pose_and_lens() {
+        let view = |k: usize| RecordedView {
+            frame_index: 5 * k,
+            held_out: k == 1,
+            camera: Camera::new(
+                Intrinsics::from_fov(40, 30, 1.0),
+                DPose3::from_translation(DVec3::new(k as f64, 2.0, 3.0)),
+            ),
+            photo: Image::filled(80, 60, [k as u8; 3]),
+            depth: Image::filled(40, 30, 1.0),
+            labels: Image::filled(40, 30, 0),
+        };
+        let input = ReportInput { recorded: (0..4).map(view).collect(), ..ReportInput::default() };
+        let data = view_data(&input, &Detail { views: 2, ..ALL });
+        let views = data["views"].as_array().unwrap();
+        assert_eq!(views.iter().map(|v| v["frame"].as_u64().unwrap()).collect::<Vec<_>>(), [0, 10]);
+        assert_eq!(views[0]["pose"], json!([0.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]));
+        assert_eq!(views[0]["lens"].as_array().unwrap()[..2], [json!(40.0), json!(30.0)]);
+        assert!(views[0]["photo"].is_null(), "the page holds the first photograph already");
+        assert!(views[1]["photo"].as_str().unwrap().starts_with("data:image/jpeg;base64,"));
     }
 }

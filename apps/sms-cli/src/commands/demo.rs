@@ -4,7 +4,7 @@ use super::{evaluate, execute, materialize, plan, report, scan, simulate};
 use crate::cli::{self, DemoArguments, DemoName};
 use sms_cli::front::{Console, PresetName};
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, Seed, lengths_text};
+use sms_core::{InputError, Seed, lengths_text, shell_argument};
 use sms_pipeline::{PlanRequest, Run, write_task_files};
 use sms_synth::{
     BilliardsSettings, HelicalPath, RecordingSettings, SceneViews, generate_billiards, landing_scene,
@@ -43,7 +43,7 @@ pub(crate) fn run(console: &Console, a: &DemoArguments) -> anyhow::Result<()> {
     console.say(format!(
         "           ({:.0} s in total; `sms view {}` opens it)",
         began.elapsed().as_secs_f64(),
-        root.display()
+        shell_argument(&root)
     ));
     if console.json {
         console.print_json(&m)?;
@@ -118,9 +118,7 @@ fn reconstruct(console: &Console, a: &DemoArguments, root: &Path, recording: &Pa
         nets: cli::NetsArguments::default(),
         holdout: Some(HOLDOUT),
         seed: Some(a.seed),
-        up: None,
-        refine_poses: None,
-        no_check: false,
+        poses: cli::PosesArguments::default(),
         device: sms_pipeline::Device::Auto,
         live: a.live.clone(),
     };

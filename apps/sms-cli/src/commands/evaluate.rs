@@ -29,7 +29,7 @@ pub(crate) fn run(console: &Console, a: &EvaluateArguments) -> anyhow::Result<()
             turned.to_degrees()
         ));
     }
-    console.print_metrics(&run)
+    console.conclude(&run)
 }
 
 /// Formats the scores.

@@ -15,7 +15,7 @@ pub(crate) fn run(console: &Console, a: &ExecuteArguments) -> anyhow::Result<()>
     let run = Run::new(&a.run, &console.context);
     let outcome = run.execute(&ExecuteRequest { engine: a.engine.map(EngineName::engine), arm })?;
     show(console, &outcome);
-    console.print_metrics(&run)
+    console.conclude(&run)
 }
 
 /// Prints an execution.

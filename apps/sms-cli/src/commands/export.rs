@@ -12,5 +12,5 @@ pub(crate) fn run(console: &Console, a: &ExportArguments) -> anyhow::Result<()> 
     for file in run.export(&formats, a.out.as_deref())? {
         console.say(file.display());
     }
-    console.print_metrics(&run)
+    console.conclude(&run)
 }

@@ -2,7 +2,7 @@
 
 use crate::cli::MaterialsArguments;
 use sms_cli::front::Console;
-use sms_core::Material;
+use sms_core::{Material, shell_argument};
 use sms_materials::ObjectQuery;
 use sms_pipeline::{Run, material_properties, source_name};
 
@@ -22,7 +22,7 @@ pub(crate) fn run(console: &Console, a: &MaterialsArguments) -> anyhow::Result<(
         console.say(format!(
             "the scene has no body {}: `sms materials {} --unset {}` removes these values",
             found.unused.join(", "),
-            a.run.display(),
+            shell_argument(&a.run),
             found.unused.join(" --unset ")
         ));
     }
@@ -30,7 +30,7 @@ pub(crate) fn run(console: &Console, a: &MaterialsArguments) -> anyhow::Result<(
         console.say(format!(
             "the current scene has other values for {}: run `sms materialize {}` to rebuild it with these",
             found.changed.join(", "),
-            a.run.display()
+            shell_argument(&a.run)
         ));
     }
     Ok(())

@@ -27,8 +27,7 @@ pub(crate) fn run(console: &Console, a: &NameArguments) -> anyhow::Result<()> {
             console.say(format!("{:3} {:24} {about}", object.id, object.name).trim_end());
         }
     }
-    console.say(format!("next: {}", run.status()?.next[0]));
-    Ok(())
+    console.say_next(&run)
 }
 
 fn pair(text: &str) -> Result<(String, String), InputError> {

@@ -17,7 +17,7 @@ pub(crate) fn run(console: &Console, a: &cli::PlanArguments) -> anyhow::Result<(
     };
     let run = Run::new(&a.run, &console.context);
     show(console, &run.plan(&request)?);
-    console.print_metrics(&run)
+    console.conclude(&run)
 }
 
 /// Prints a plan.

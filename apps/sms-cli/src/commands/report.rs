@@ -10,6 +10,6 @@ pub(crate) fn run(console: &Console, a: &ReportArguments) -> anyhow::Result<Path
     let run = Run::new(&a.run, &console.context);
     let page = run.report()?;
     console.say(format!("report: {}", page.display()));
-    console.print_metrics(&run)?;
+    console.conclude(&run)?;
     Ok(page)
 }

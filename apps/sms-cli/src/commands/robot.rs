@@ -31,7 +31,7 @@ pub(crate) fn run(console: &Console, a: &RobotArguments) -> anyhow::Result<()> {
             "not executable: no motion is written (--keep-failed writes it for inspection)".to_owned()
         }
     });
-    console.print_metrics(&run)?;
+    console.conclude(&run)?;
     if !is_executable {
         anyhow::bail!(
             "the strike did not pass every check; place the robot 0.1 to 0.2 m further away from the bodies near its links \

@@ -48,20 +48,16 @@ fn stages(console: &Console, a: &RunArguments, root: &Path) -> anyhow::Result<Pa
         preset: a.preset,
         masks: a.masks,
         nets: cli::NetsArguments { objects: a.objects.clone(), ..cli::NetsArguments::default() },
-        refine_poses: None,
+        poses: a.poses.clone(),
         holdout: a.holdout,
         device: a.device,
         seed: a.seed,
-        up: None,
-        no_check: false,
         live: None,
     };
     scan::run(console, &arguments)?;
-    let run = root.to_owned();
-    materialize::run(
-        console,
-        &cli::MaterializeArguments { run, materials: None, vlm: cli::VlmName::default() },
-    )?;
+    let (run, materials) = (root.to_owned(), a.materials.clone());
+    let arguments = cli::MaterializeArguments { run, materials, vlm: cli::VlmName::default() };
+    materialize::run(console, &arguments)?;
     simulate::run(console, &cli::SimulateArguments { run: root.to_owned(), seconds: REST_S })?;
     if let Some(task) = &a.task {
         let run = Run::new(root, &console.context);
@@ -81,7 +77,9 @@ fn own_folder(console: &Console, recording: &Path) -> anyhow::Result<PathBuf> {
     let name = absolute.file_name().map_or_else(|| "scene".into(), ToOwned::to_owned);
     let root = PathBuf::from("runs").join(name);
     let other = Run::new(&root, &console.context).status().ok().and_then(|s| s.recording);
-    if let Some(other) = other.filter(|other| *other != absolute) {
+    // The recording may be given by another spelling of its path.
+    let whole = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    if let Some(other) = other.filter(|other| whole(other) != whole(&absolute)) {
         let what = format!("this folder has a run of another recording, {}", other.display());
         return Err(InputError::new(what, &root, "name another folder with --out").into());
     }

@@ -2,7 +2,7 @@
 
 use crate::cli::SampleArguments;
 use sms_cli::front::Console;
-use sms_core::{InputError, Seed};
+use sms_core::{InputError, Seed, shell_argument};
 use sms_pipeline::write_task_files;
 use sms_synth::{BilliardsSettings, RecordingSettings, generate_billiards, write_recording};
 
@@ -16,15 +16,20 @@ pub(crate) fn run(console: &Console, a: &SampleArguments) -> anyhow::Result<()> 
     let context = &console.context;
     write_recording(&truth, &settings, &a.folder, context.progress.as_ref(), &context.cancel)?;
     write_task_files(&truth, &a.folder)?;
-    let folder = a.folder.display();
-    console.say(format!("wrote a recording of {} objects to {folder}; next steps:", truth.objects.len()));
-    console.say(format!("  sms run {folder} --out my-run --preset draft --task {folder}/task.toml"));
+    console.say(format!(
+        "wrote a recording of {} objects to {}; next steps:",
+        truth.objects.len(),
+        a.folder.display()
+    ));
+    let folder = shell_argument(&a.folder);
+    let task = shell_argument(&a.folder.join("task.toml"));
+    console.say(format!("  sms run {folder} --out my-run --preset draft --task {task}"));
     console.say("or stage by stage:");
     console.say(format!("  sms check {folder}"));
     console.say(format!("  sms scan {folder} --out my-run --preset draft --holdout 8"));
     console.say("  sms materialize my-run");
     console.say("  sms simulate my-run");
-    console.say(format!("  sms plan my-run --task {folder}/task.toml"));
+    console.say(format!("  sms plan my-run --task {task}"));
     console.say("  sms execute my-run");
     console.say("  sms evaluate my-run");
     console.say("  sms view my-run");

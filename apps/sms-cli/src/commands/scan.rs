@@ -10,12 +10,12 @@ pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
     let request = ScanRequest {
         preset: a.preset.unwrap_or(PresetName::Standard).preset(),
         masks: a.masks.source(&a.nets),
-        refine_poses: a.refine_poses.map(RefinePoses::mode),
+        refine_poses: a.poses.refine_poses.map(RefinePoses::mode),
         holdout: a.holdout,
         device: a.device,
         seed: a.seed.map(Seed),
-        up: a.up.as_deref().map(direction).transpose()?,
-        accept_faults: a.no_check,
+        up: a.poses.up.as_deref().map(direction).transpose()?,
+        accept_faults: a.poses.no_check,
     };
     let mut observer = Watch::start(a.live.as_deref(), &a.recording)?;
     let run = Run::new(&a.out, &console.context);
@@ -24,7 +24,7 @@ pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
         eprintln!("warning: {problem}");
     }
     summary(console, &run, &outcome)?;
-    console.print_metrics(&run)
+    console.conclude(&run)
 }
 
 fn direction(values: &[f64]) -> Result<[f64; 3], InputError> {

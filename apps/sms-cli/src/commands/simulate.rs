@@ -20,7 +20,7 @@ pub(crate) fn run(console: &Console, a: &SimulateArguments) -> anyhow::Result<()
         ));
     }
     console.say(verdict(&drifts));
-    console.print_metrics(&run)
+    console.conclude(&run)
 }
 
 /// Says whether the scene is at rest, or which bodies move.

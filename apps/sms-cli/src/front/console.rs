@@ -69,7 +69,8 @@ impl Console {
         let files: Vec<&Path> = own.into_iter().chain(common.settings.as_deref()).collect();
         let settings = Settings::read_layers(&files, &common.assignments)?;
         let events = Box::new(Printer { json: common.json, one_line: kind == ProgressKind::Json });
-        let context = Context { progress, cancel, settings, force: common.force, events };
+        let context =
+            Context { progress, cancel, settings, force: common.force, events, ..Context::default() };
         Ok(Self { context, part_of_a_flow, json: common.json })
     }
 
@@ -91,13 +92,26 @@ impl Console {
         self.context.events.event(&Event::Warning(warning));
     }
 
-    /// With `--json`, prints all metrics of the run (once, at the end of a flow of several commands).
+    /// Ends a command of a run: prints the command to run next or, with `--json`, all metrics of the run. A step of a flow
+    /// prints neither.
     ///
     /// # Errors
     /// If they cannot be read.
-    pub fn print_metrics(&self, run: &Run<'_>) -> anyhow::Result<()> {
-        if self.json && !self.part_of_a_flow {
-            self.print_json(&run.metrics()?)?;
+    pub fn conclude(&self, run: &Run<'_>) -> anyhow::Result<()> {
+        match self.part_of_a_flow {
+            true => Ok(()),
+            false if self.json => self.print_json(&run.metrics()?),
+            false => self.say_next(run),
+        }
+    }
+
+    /// Prints the command to run next.
+    ///
+    /// # Errors
+    /// If the state of the run cannot be read.
+    pub fn say_next(&self, run: &Run<'_>) -> anyhow::Result<()> {
+        if let Some(next) = run.status()?.next.first() {
+            self.say(format!("next: {next}"));
         }
         Ok(())
     }

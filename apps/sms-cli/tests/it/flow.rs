@@ -44,6 +44,16 @@ fn all_stages_run_in_one_command_and_are_not_repeated() {
     json(&sms_in(dir.path(), &given));
     assert_eq!(stamps(), before, "nothing is made again");
 
+    // The page shows the figures of a check and the names of the objects.
+    let page = || json(&sms_in(&root, &["status", ".", "--json"]))["status.report"].clone();
+    assert_eq!(page(), "complete");
+    json(&sms_in(&root, &["simulate", ".", "--seconds", "0.5", "--json"]));
+    assert_eq!(page(), "stale");
+    json(&sms_in(&root, &["report", ".", "--json"]));
+    assert_eq!(page(), "complete");
+    json(&sms_in(&root, &["name", ".", "object_01=duck", "--json"]));
+    assert_eq!(page(), "stale");
+
     // The folder belongs to this recording.
     let other = dir.path().join("other").join(recording.file_name().unwrap());
     fs::create_dir_all(&other).unwrap();

@@ -5,7 +5,7 @@ use crate::common::{copy_materialized_run, done, recording, said, sms};
 use std::fs;
 
 #[test]
-fn where_nothing_can_be_landed_on_the_reason_stands_in_the_report_and_no_plan_is_left() {
+fn where_nothing_can_be_landed_on_the_reason_stands_in_the_report_and_the_earlier_plan_is_set_aside() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
     let (run, landing) = (path("run"), path("landing.toml"));
@@ -28,13 +28,21 @@ fn where_nothing_can_be_landed_on_the_reason_stands_in_the_report_and_no_plan_is
     ]);
     assert!(dir.path().join("run/plan").is_dir());
 
+    let planned = fs::read(dir.path().join("run/plan/plan.json")).unwrap();
+
+    // A mistake in the task's file says nothing about the plan.
+    fs::write(&landing, "kind = \"landing\"\nstart = [2.0, 0.0]\n").unwrap();
+    assert_eq!(sms(&["plan", &run, "--task", &landing]).status.code(), Some(2));
+    assert_eq!(fs::read(dir.path().join("run/plan/plan.json")).unwrap(), planned);
+
     // Balls and boxes on a floor: nothing faces up half a metre above it.
     fs::write(&landing, "kind = \"landing\"\nstart_w = [2.0, 0.0]\n").unwrap();
     let refused = sms(&["plan", &run, "--task", &landing]);
     let text = said(&refused);
     assert_eq!(refused.status.code(), Some(2), "{text}");
     assert!(text.contains("surface") && text.contains("cure:"), "{text}");
-    assert!(!dir.path().join("run/plan").exists(), "what is left would be flown");
+    assert!(!dir.path().join("run/plan").exists(), "it could be carried out by mistake");
+    assert_eq!(fs::read(dir.path().join("run/plan.earlier/plan.json")).unwrap(), planned);
     let executed = sms(&["execute", &run]);
     assert_eq!(executed.status.code(), Some(2), "{}", said(&executed));
 

@@ -1,5 +1,6 @@
 //! Compares the reconstruction with known models or the ground truth.
 
+use super::status::is_generated;
 use super::{Run, RunSettings};
 use crate::Error;
 use crate::cache::record;
@@ -70,7 +71,7 @@ impl Run<'_> {
 }
 
 fn truth_of(recording: &Path) -> Result<TruthScene, Error> {
-    if !recording.join("truth").join("truth.json").is_file() {
+    if !is_generated(recording) {
         let cure = "pass known models with --objects FILE (see docs/book/src/reference/objects-json.md)";
         return Err(InputError::new("no known models to compare with", recording, cure).into());
     }

@@ -1,8 +1,10 @@
 //! Executes the plan in the target world.
 
+use super::status::is_generated;
 use super::{Run, RunSettings};
 use crate::Error;
 use crate::cache::{inputs_hash, run_stage};
+use crate::command_options::record_options;
 use crate::origin::{current_dir, stage_state};
 use sms_core::metrics::Metrics;
 use sms_core::{Hash, Hasher, InputError, RunFolder, Warnings};
@@ -89,11 +91,10 @@ impl Run<'_> {
         self.warn_stale(&run, "plan");
         let scene_dir = run.stage_dir("scene", "materialize")?;
         let recording = PathBuf::from(RunSettings::of(&run)?.recording);
-        let truth_file = recording.join("truth").join("truth.json");
-        if !truth_file.is_file() {
+        if !is_generated(&recording) {
             return Err(InputError::new(
                 "this recording has no ground truth to execute in",
-                &truth_file,
+                &recording,
                 "use a generated recording (`sms sample DIR`, `sms demo billiards`); for a real scene, execute \
                  plan/plan.json on your robot",
             )
@@ -103,6 +104,7 @@ impl Run<'_> {
         let is_strike = !is_landing(&plan_dir);
         let arm = if is_strike { arm_of(request.arm, engine)? } else { request.arm };
         let target = engine.target()?;
+        record_options(self.context, &run, "execute")?;
         let order = Order {
             scene: stage_state(&run, "scene"),
             plan_dir: &plan_dir,

@@ -4,20 +4,22 @@ use super::Run;
 use super::settings::{RunSettings, regions_hash};
 use crate::Error;
 use crate::cache::{inputs_hash, run_stage};
+use crate::command_options::record_options;
 use crate::material_edits::QUERIES;
-use crate::object_names::{EDITS, ObjectNames, follow, write_names};
+use crate::object_names::{EDITS, ObjectNames, differ, follow, write_names};
 use crate::origin::{current_dir, stage_state};
-use crate::stage_list::shown;
 use crate::stages::{SceneRequest, entities, entity_metrics, scene, trained_only};
 use crate::vlm::{VlmMode, cached_estimates};
 use sms_core::metrics::Metrics;
-use sms_core::{BACKGROUND, Hash, InputError, Labels, MaskSource, RunFolder, Seed, Warnings, atomic};
+use sms_core::{
+    BACKGROUND, Hash, InputError, Labels, MaskSource, RunFolder, Seed, Warnings, atomic, shell_argument,
+};
 use sms_entities::{EntitiesConfig, EntitySet, load_entities, material_queries, save_entities};
 use sms_export::mjcf_text;
 use sms_frames::{ReadOptions, Sequence};
 use sms_gaussians::{read_ply, write_ply};
 use sms_masks::load_labels;
-use sms_materials::{MaterialTable, ObjectQuery, Overrides};
+use sms_materials::{ClassChoice, MaterialTable, ObjectQuery, Overrides, class_choices};
 use sms_scene::{Scene, save_scene};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -39,6 +41,8 @@ pub struct MaterializeRequest {
 pub struct MaterializeOutcome {
     /// The entities.
     pub entities: EntitySet,
+    /// The material classes of the objects, with their origins.
+    pub materials: Vec<ClassChoice>,
     /// Folder of the scene.
     pub scene_dir: PathBuf,
 }
@@ -66,6 +70,7 @@ impl Run<'_> {
         let seed = Seed(settings.seed);
 
         let overrides = overrides(&run, request)?;
+        record_options(self.context, &run, "materialize")?;
         let before = stage_state(&run, "gaussians").unwrap_or(Hash(String::new()));
         // Names and descriptions may be edited without a new scan.
         let names: Vec<_> = labels.objects.iter().map(|o| (o.id, &o.name, &o.description)).collect();
@@ -93,11 +98,11 @@ impl Run<'_> {
         for (query, estimate) in queries.iter_mut().zip(estimates) {
             query.estimate = estimate;
         }
-        let scene_hash = inputs_hash(&[&hash], &("scene 4", &queries, &overrides, MaterialTable::builtin()))?;
+        let scene_hash = inputs_hash(&[&hash], &("scene 5", &queries, &overrides, MaterialTable::builtin()))?;
         let scene_dir = run_stage(self.context, &run, "scene", &scene_hash, |stage, warnings| {
             atomic::write_json(&stage.dir().join(QUERIES), &queries)?;
             let objects = set.entities.iter().filter(|e| e.label != BACKGROUND);
-            write_names(stage.dir(), objects.map(|e| (e.name.as_str(), e.label)))?;
+            write_names(&run, stage.dir(), objects.map(|e| (e.name.as_str(), e.label)))?;
             let overrides = without_unused(&run, overrides.clone(), &queries, warnings);
             let name = settings.recording_name();
             let request = SceneRequest {
@@ -112,7 +117,11 @@ impl Run<'_> {
             Ok(Metrics::new())
         })?;
         self.tell_stale(&run);
-        Ok(MaterializeOutcome { entities: set, scene_dir })
+        // The queries are those of the entities, in their order, and of the floor.
+        let labelled = set.entities.iter().zip(queries).filter(|(entity, _)| entity.label != BACKGROUND);
+        let objects: Vec<ObjectQuery> = labelled.map(|(_, query)| query).collect();
+        let materials = class_choices(&objects, &MaterialTable::builtin(), Some(&overrides));
+        Ok(MaterializeOutcome { entities: set, materials, scene_dir })
     }
 }
 
@@ -128,7 +137,7 @@ fn refuse_other_objects(settings: &RunSettings, labels: &Labels, masks_dir: &Pat
 }
 
 /// Returns the material values of the user: the edits of the run under those of the file, both checked against the
-/// masks. Edits move to the present names of their objects.
+/// masks. Edits move to the present names of their objects; the file is rewritten only then, because its comments are lost.
 fn overrides(run: &RunFolder, request: &MaterializeRequest) -> Result<Overrides, Error> {
     let names = ObjectNames::of(run)?;
     let path = run.root().join(EDITS);
@@ -138,13 +147,13 @@ fn overrides(run: &RunFolder, request: &MaterializeRequest) -> Result<Overrides,
     if !followed.lost.is_empty() {
         let (lost, first) = (followed.lost.join("`, `"), followed.lost.join(" --unset "));
         let what = format!("this run has no object `{lost}`, for which material values are set");
-        let root = shown(run.root());
+        let root = shell_argument(run.root());
         let cure =
             format!("`sms materials {root} --unset {first}` removes them; objects: {}", known.join(", "));
         return Err(InputError::new(what, path, cure).into());
     }
     let mut edits = followed.overrides;
-    if edits.object != read.object {
+    if differ(&edits, &read) {
         edits.save(&path)?;
     }
     // Labels identify objects in the file only.
@@ -170,7 +179,7 @@ fn without_unused(
         let is_used = queries.iter().any(|q| q.name == *name);
         if !is_used {
             let what = format!("the material values of `{name}` are not used: the scene has no such body");
-            let root = shown(run.root());
+            let root = shell_argument(run.root());
             let cure =
                 format!("remove them: `sms materials {root} --unset {name}`, or in the file of --materials");
             warnings.add("scene", "material_unused", what, cure);
@@ -191,4 +200,31 @@ fn write_scene(scene: &Scene, dir: &Path, entities_dir: &Path) -> Result<(), Err
         }
     }
     Ok(atomic::write_bytes(&dir.join("scene.xml"), mjcf_text(scene).as_bytes())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::object_names::fixture::run_with_masks;
+
+    #[test]
+    fn a_file_by_hand_is_rewritten_only_if_its_values_move() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = run_with_masks(dir.path(), &["mug", "duck"]);
+        let path = dir.path().join(EDITS);
+        let by_hand = "# weighed on Monday\n[object.mug]\nmass_kg = 0.31\n";
+        std::fs::write(&path, by_hand).unwrap();
+        let request = MaterializeRequest::default();
+        let used = overrides(&run, &request).unwrap();
+        assert_eq!(used.object, Overrides::read(&path).unwrap().object);
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), by_hand);
+
+        // The table has the name of the mug in the scene.
+        write_names(&run, &dir.path().join("scene"), [("object_01", 1)].into_iter()).unwrap();
+        std::fs::write(&path, "[object.object_01]\nmass_kg = 0.31\n").unwrap();
+        assert_eq!(overrides(&run, &request).unwrap().object, used.object);
+        let moved = Overrides::read(&path).unwrap();
+        assert_eq!(moved.object.keys().collect::<Vec<_>>(), ["mug"]);
+        assert_eq!(moved.object["mug"].label, Some(1));
+    }
 }

@@ -26,11 +26,11 @@ pub use simulate::is_at_rest;
 pub use status::{RunStatus, StageCondition, StageStatus};
 
 use crate::origin::{staleness, staleness_of};
-use crate::stage_list::{command_of, shown};
+use crate::stage_list::command_of;
 use crate::{Context, Error};
 use serde::de::DeserializeOwned;
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, RunFolder, Warnings, atomic};
+use sms_core::{CoreError, RunFolder, Warnings, atomic, shell_argument};
 use std::path::{Path, PathBuf};
 
 /// The pipeline on a folder: each method runs one command, reuses stages with unchanged inputs, and stores its result
@@ -109,7 +109,12 @@ fn stale_warning(run: &RunFolder, stage: &str) -> Warnings {
     let stale = staleness_of(run, stage);
     if !stale.is_empty() {
         let what = format!("the result `{stage}` is stale: {}", stale.reasons().join("; "));
-        warnings.add(stage, "stale", what, format!("`sms status {}` lists the commands", shown(run.root())));
+        warnings.add(
+            stage,
+            "stale",
+            what,
+            format!("`sms status {}` lists the commands", shell_argument(run.root())),
+        );
     }
     warnings
 }

@@ -2,10 +2,13 @@
 
 use super::Run;
 use crate::Error;
-use crate::object_names::{EDITS, ObjectNames, follow};
-use sms_core::InputError;
+use crate::object_names::{EDITS, ObjectNames, differ, follow};
+use sms_core::{CoreError, InputError, RunFolder, atomic};
 use sms_masks::{LabelRow, load_label_rows, rename_labels};
 use sms_materials::Overrides;
+
+/// Folder of the copy on which renames are tried.
+const TRIAL: &str = ".names.partial";
 
 impl Run<'_> {
     /// Renames objects, all at once: each pair has the present and the new name. The user's material values follow
@@ -25,17 +28,97 @@ impl Run<'_> {
         if renames.is_empty() {
             return Ok(load_label_rows(&masks)?);
         }
-        // The labels of the edits are written before the names change: they identify the objects afterwards.
         let edits = run.root().join(EDITS);
-        let labelled = follow(Overrides::read_optional(&edits)?, &ObjectNames::of(&run)?).overrides;
-        let has_edits = !labelled.object.is_empty();
-        if has_edits {
+        let read = Overrides::read_optional(&edits)?;
+        let labelled = follow(read.clone(), &ObjectNames::of(&run)?).overrides;
+        try_renames(&run, renames)?;
+        // The file is rewritten only if values move, because its comments are lost then.
+        let is_renamed = renames.iter().any(|(from, _)| labelled.object.contains_key(from));
+        let moves = is_renamed || differ(&read, &labelled);
+        // The labels of the values are written before the names change: they identify the objects afterwards.
+        if moves {
             labelled.save(&edits)?;
         }
         rename_labels(&masks, renames)?;
-        if has_edits {
+        if moves {
             follow(labelled, &ObjectNames::of(&run)?).overrides.save(&edits)?;
         }
         Ok(load_label_rows(&masks)?)
+    }
+}
+
+/// Renames objects in a copy of the labels, so that refused names are found before anything of the run changes.
+fn try_renames(run: &RunFolder, renames: &[(String, String)]) -> Result<(), Error> {
+    let trial = run.root().join(TRIAL);
+    let labels = run.root().join("masks").join("labels.json");
+    let bytes = std::fs::read(&labels).map_err(CoreError::read(&labels))?;
+    atomic::write_bytes(&trial.join("labels.json"), &bytes)?;
+    let result = rename_labels(&trial, renames);
+    // A copy that stays does no harm: the next call replaces it.
+    let _ = std::fs::remove_dir_all(&trial);
+    Ok(result?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Context;
+    use crate::object_names::{fixture::run_with_masks, write_names};
+    use std::path::Path;
+
+    const BY_HAND: &str = "# weighed on Monday\n[object.mug]\nmass_kg = 0.31\n";
+
+    fn rename(dir: &Path, from: &str, to: &str) -> Result<Vec<LabelRow>, Error> {
+        let context = Context::default();
+        Run::new(dir, &context).rename(&[(from.to_owned(), to.to_owned())])
+    }
+
+    #[test]
+    fn refused_names_change_no_file() {
+        let dir = tempfile::tempdir().unwrap();
+        drop(run_with_masks(dir.path(), &["mug", "duck"]));
+        let edits = dir.path().join(EDITS);
+        std::fs::write(&edits, BY_HAND).unwrap();
+        let labels = std::fs::read(dir.path().join("masks/labels.json")).unwrap();
+        for (from, to) in [("teapot", "x"), ("mug", "duck"), ("mug", "a/b")] {
+            assert!(matches!(rename(dir.path(), from, to), Err(Error::Core(CoreError::Input(_)))));
+            assert_eq!(std::fs::read_to_string(&edits).unwrap(), BY_HAND);
+            assert_eq!(std::fs::read(dir.path().join("masks/labels.json")).unwrap(), labels);
+            assert!(!dir.path().join(TRIAL).exists());
+        }
+    }
+
+    #[test]
+    fn a_file_by_hand_is_rewritten_only_if_its_values_move() {
+        let dir = tempfile::tempdir().unwrap();
+        drop(run_with_masks(dir.path(), &["mug", "duck"]));
+        let edits = dir.path().join(EDITS);
+        std::fs::write(&edits, BY_HAND).unwrap();
+        rename(dir.path(), "duck", "goose").unwrap();
+        assert_eq!(std::fs::read_to_string(&edits).unwrap(), BY_HAND);
+
+        let rows = rename(dir.path(), "mug", "cup").unwrap();
+        assert_eq!(rows.iter().map(|r| r.name.as_str()).collect::<Vec<_>>(), ["cup", "goose"]);
+        let moved = Overrides::read(&edits).unwrap();
+        let by_hand: Overrides = toml::from_str(BY_HAND).unwrap();
+        assert_eq!(moved.object.keys().collect::<Vec<_>>(), ["cup"]);
+        assert_eq!(moved.object["cup"].label, Some(1));
+        assert_eq!(moved.object["cup"].mass_kg, by_hand.object["mug"].mass_kg);
+    }
+
+    /// The scene has the name of the table, and the object has got another one in labels.json since.
+    #[test]
+    fn a_table_with_the_name_in_the_scene_follows_a_rename_of_another_object() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = run_with_masks(dir.path(), &["mug", "duck"]);
+        write_names(&run, &dir.path().join("scene"), [("object_01", 1)].into_iter()).unwrap();
+        drop(run);
+        let edits = dir.path().join(EDITS);
+        std::fs::write(&edits, "[object.object_01]\nmass_kg = 0.31\n").unwrap();
+        // The duck gets the name that the mug had: only the label tells them apart now.
+        rename(dir.path(), "duck", "object_01").unwrap();
+        let moved = Overrides::read(&edits).unwrap();
+        assert_eq!(moved.object.keys().collect::<Vec<_>>(), ["mug"]);
+        assert_eq!(moved.object["mug"].label, Some(1));
     }
 }

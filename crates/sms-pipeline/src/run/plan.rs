@@ -2,6 +2,7 @@
 
 use super::{Run, RunSettings};
 use crate::cache::{inputs_hash, record, run_stage};
+use crate::command_options::record_options;
 use crate::origin::{current_dir, stage_state};
 use crate::settings::vlm_defaults;
 use crate::stages::{ChosenLanding, LandingChooser, LandingProblem, StrikeProblem, choose_landing};
@@ -14,7 +15,7 @@ use sms_frames::{FloorAt, Sequence, floor_at, load_depths};
 use sms_landing::{CarriedOut, LandingPlan, LandingPlanOutcome, LandingSettings, LandingTask};
 use sms_plan::{Plan, PlanConfig, load_plan, save_plan, write_trials};
 use sms_robots::autopilot::{FlightFiles, write_flight};
-use sms_scene::load_scene;
+use sms_scene::{Scene, load_scene};
 use sms_task::{ResolvedTask, Task};
 use sms_vlm::Cache;
 use std::path::{Path, PathBuf};
@@ -103,6 +104,7 @@ impl Run<'_> {
         let robot = RobotPlace::of(&self.context.settings, scan.as_ref())?;
         let strike = StrikeProblem::new(&task, &scene, &robot)?;
         let out_of_view = refuse_places_off_the_floor(&run, &strike.task, &request.task)?;
+        record_options(self.context, &run, "plan")?;
         run.record_settings("plan", &config)?;
         let urdf = robot.config.urdf.as_deref();
         let hash =
@@ -130,11 +132,12 @@ impl Run<'_> {
         Ok(PlannedTask::Strike { plan: Box::new(load_plan(&dir)?), bodies, dir })
     }
 
-    /// Plans a landing. A refused task is also saved as a warning for the report, and an earlier plan is removed so
+    /// Plans a landing. A refused task is also saved as a warning for the report, and an earlier plan is set aside so
     /// that it is not flown by mistake.
     fn plan_landing(&self, request: &PlanRequest) -> Result<PlannedTask, Error> {
         let run = self.open()?;
-        let error = match self.landing_stage(request, &run) {
+        let order = self.landing_order(request, &run)?;
+        let error = match self.landing_stage(&order, &run) {
             Ok(planned) => {
                 self.tell_stale(&run);
                 return Ok(planned);
@@ -143,47 +146,61 @@ impl Run<'_> {
         };
         let Some(refused) = error.input().cloned() else { return Err(error) };
         for stage in ["target", "plan"] {
-            run.discard(stage)?;
+            if let Some(aside) = run.set_aside(stage)? {
+                self.context.message(format!("the earlier `{stage}` is kept in {}", aside.display()));
+            }
         }
         let warnings = Warnings::new();
         let what = format!("no landing was planned: {}", refused.what);
         warnings.add("plan", "landing_refused", what, refused.cure.clone());
-        record(self.context, &run, "plan", &["plan."], Metrics::new(), &warnings)?;
+        record(self.context, &run, "plan", &["plan.", "execute."], Metrics::new(), &warnings)?;
         Err(refused.into())
     }
 
-    fn landing_stage(&self, request: &PlanRequest, run: &RunFolder) -> Result<PlannedTask, Error> {
+    /// Reads the files and settings of a landing. Their errors say nothing about the task.
+    fn landing_order(&self, request: &PlanRequest, run: &RunFolder) -> Result<LandingOrder, Error> {
         let task = LandingTask::read(&request.task)?;
         let scene_dir = current_dir(run, "scene", "materialize")?;
         self.warn_stale(run, "scene");
-        let scene = load_scene(&scene_dir)?;
-        let seed = seed(request, run)?;
         let base = if request.draft { LandingSettings::draft() } else { LandingSettings::default() };
         let mut settings = self.context.settings.section("landing", base)?;
         settings.worlds = request.robust.unwrap_or(settings.worlds);
         let files = self.context.settings.section("flight", FlightFiles::default())?;
-        let landing = LandingProblem::new(&task, scene, &settings, seed)?;
-        run.record_settings("landing", &settings)?;
-        run.record_settings("flight", &files)?;
+        Ok(LandingOrder {
+            task,
+            scene: load_scene(&scene_dir)?,
+            scene_hash: scene_hash(run, &scene_dir, None)?,
+            settings,
+            files,
+            seed: seed(request, run)?,
+            chooser: request.chooser,
+        })
+    }
+
+    fn landing_stage(&self, order: &LandingOrder, run: &RunFolder) -> Result<PlannedTask, Error> {
+        let LandingOrder { task, settings, files, seed, chooser, .. } = order;
+        let landing = LandingProblem::new(task, order.scene.clone(), settings, *seed)?;
+        record_options(self.context, run, "plan")?;
+        run.record_settings("landing", settings)?;
+        run.record_settings("flight", files)?;
         let vehicle = landing.task.vehicle();
-        let chooser = request.chooser.name();
-        let inputs = (&task, vehicle, settings, files, seed, chooser);
-        let hash = inputs_hash(&[&scene_hash(run, &scene_dir, None)?], &inputs)?;
+        let inputs = (task, vehicle, settings, files, seed, chooser.name());
+        let hash = inputs_hash(&[&order.scene_hash], &inputs)?;
         let dir = run_stage(self.context, run, "plan", &hash, |stage, warnings| {
             let began = Instant::now();
             landing.warn(warnings);
-            let context = self.context.stage(warnings, seed);
-            let outcome = match request.chooser {
-                LandingChooser::Search => landing.plan(&settings, context)?,
-                chooser => self.baseline(chooser, run, &landing, &settings, stage.dir(), context)?,
+            let context = self.context.stage(warnings, *seed);
+            let outcome = match *chooser {
+                LandingChooser::Search => landing.plan(settings, context)?,
+                chooser => self.baseline(chooser, run, &landing, settings, stage.dir(), context)?,
             };
             let plan = &outcome.plan;
             plan.save(stage.dir())?;
             write_trials(&stage.dir().join("trials.parquet"), &plan.parameters, &outcome.trials)?;
             task.write(&stage.dir().join("task.toml"))?;
             let flight = landing.task.flight(&plan.action, &CarriedOut::default())?;
-            write_flight(stage.dir(), &flight, vehicle, &files)?;
-            let mut metrics = landing_metrics(plan, chooser);
+            write_flight(stage.dir(), &flight, vehicle, files)?;
+            let mut metrics = landing_metrics(plan, chooser.name());
             metrics.set("plan.seconds", began.elapsed().as_secs_f64());
             Ok(metrics)
         })?;
@@ -222,6 +239,17 @@ impl Run<'_> {
         ));
         Ok(outcome)
     }
+}
+
+/// A landing task with its scene and settings.
+struct LandingOrder {
+    task: LandingTask,
+    scene: Scene,
+    scene_hash: Hash,
+    settings: LandingSettings,
+    files: FlightFiles,
+    seed: Seed,
+    chooser: LandingChooser,
 }
 
 fn seed(request: &PlanRequest, run: &RunFolder) -> Result<Seed, Error> {

@@ -2,6 +2,7 @@
 
 use super::Run;
 use crate::Error;
+use crate::origin::staleness_of;
 use sms_core::{InputError, Labels, RunFolder};
 use sms_entities::load_entities;
 use sms_frames::{ReadOptions, Sequence, recorded_colors};
@@ -40,7 +41,7 @@ impl RecordedFrames {
     }
 
     /// Returns photographs spread over the recording, the first frame first, with the labels of the scene's bodies if there
-    /// are entities.
+    /// are entities of these masks.
     pub(super) fn photographs(
         &self,
         of: &Run<'_>,
@@ -59,7 +60,9 @@ impl RecordedFrames {
             objects: self.labels.objects.clone(),
             source: self.labels.source,
         };
-        if let Ok(dir) = run.stage_dir("entities", "materialize") {
+        // The pieces that earlier entities joined may have other labels in these masks.
+        let are_current = staleness_of(run, "entities").replaced.is_empty();
+        if let Some(dir) = run.stage_dir("entities", "materialize").ok().filter(|_| are_current) {
             load_entities(&dir)?.relabel(&mut labels);
         }
         let read = of.context.settings.section("read", ReadOptions::default())?;

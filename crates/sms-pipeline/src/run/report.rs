@@ -3,13 +3,14 @@
 use super::execute::is_landing;
 use super::plan::{CHOICE_FILE, PICTURES};
 use super::recorded::RecordedFrames;
+use super::status::is_generated;
 use super::{Run, RunSettings, read_optional, stale_warning};
 use crate::Error;
-use crate::origin::{current_dir, staleness_of, write_page_origin};
-use crate::stage_list::{command_of, prefixes, shown as shown_path};
+use crate::origin::{PageSources, current_dir, staleness_of};
+use crate::stage_list::{command_of, prefixes};
 use crate::stages::{ChoiceRecord, recording};
 use sms_core::metrics::Metrics;
-use sms_core::{ColorImage, RunFolder, Warning, read_png_color};
+use sms_core::{ColorImage, RunFolder, Warning, read_png_color, shell_argument};
 use sms_gaussians::read_ply;
 use sms_landing::{LandingPlan, RolloutOptions, rollout_landing};
 use sms_plan::load_plan;
@@ -29,6 +30,7 @@ impl Run<'_> {
     /// [`Error::Core`] if there is no scan or a file cannot be written.
     pub fn report(&self) -> Result<PathBuf, Error> {
         let run = self.open_to_read()?;
+        let sources = PageSources::of(&run);
         let settings = RunSettings::of(&run)?;
         let gaussians_dir = current_dir(&run, "gaussians", "scan DIR --out")?;
         let model = read_ply(&gaussians_dir.join("scene.ply"))?;
@@ -52,8 +54,7 @@ impl Run<'_> {
         }
         warnings.extend(shown.warnings);
         let landing = landed.as_ref().map(Landed::input);
-        let is_generated = Path::new(&settings.recording).join("truth").is_dir();
-        let title = match (&landing, is_generated) {
+        let title = match (&landing, is_generated(Path::new(&settings.recording))) {
             (Some(_), true) => format!("Landing, seed {}", settings.seed),
             _ => title(&settings.recording, resolved.as_ref(), settings.seed),
         };
@@ -84,7 +85,7 @@ impl Run<'_> {
             written: Some(SystemTime::now()),
         };
         let page = write_report(&run.root().join("report"), &input)?;
-        write_page_origin(&run, &run.root().join("report"))?;
+        sources.write(&run.root().join("report"))?;
         #[cfg(feature = "rerun")]
         {
             let path = run.root().join("report").join("run.rrd");
@@ -111,21 +112,24 @@ impl Shown {
         let mut warnings = Vec::new();
         let mut folder = |stage: &'static str| {
             let dir = run.stage_dir(stage, stage).ok()?;
-            warnings.extend(stale_warning(run, stage).snapshot());
+            // The scene is stale whenever the entities are, and its warning has their reasons.
+            if stage != "entities" {
+                warnings.extend(stale_warning(run, stage).snapshot());
+            }
             if staleness_of(run, stage).replaced.is_empty() {
                 return Some(dir);
             }
             left_out.push(stage);
             None
         };
-        let [scene, plan, target, _] = ["scene", "plan", "target", "robot"].map(&mut folder);
+        let [_, scene, plan, target, _] = ["entities", "scene", "plan", "target", "robot"].map(&mut folder);
         Self { scene, plan, target, left_out, warnings }
     }
 }
 
 /// Returns the commands that make the scan and the page again.
 fn commands(run: &RunFolder) -> Vec<String> {
-    vec![command_of(run, "gaussians"), format!("sms report {}", shown_path(run.root()))]
+    vec![command_of(run, "gaussians"), format!("sms report {}", shell_argument(run.root()))]
 }
 
 /// Returns one line with recording, masks, preset and engine.
@@ -198,7 +202,7 @@ fn landed(shown: &Shown, scene: Option<&Scene>) -> Result<Option<Landed>, Error>
 
 fn title(recording: &str, task: Option<&ResolvedTask>, seed: u64) -> String {
     match task {
-        Some(task) if Path::new(recording).join("truth").is_dir() => {
+        Some(task) if is_generated(Path::new(recording)) => {
             let kind = task.kind();
             let (first, rest) = kind.split_at(1);
             format!("{}{rest}, seed {seed}", first.to_uppercase())
@@ -211,4 +215,37 @@ fn title(recording: &str, task: Option<&ResolvedTask>, seed: u64) -> String {
 
 fn roles(task: &ResolvedTask) -> Vec<(String, String)> {
     vec![(task.cue().name.clone(), "cue".into()), (task.target().name.clone(), "target".into())]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::origin::Sources;
+    use sms_core::{StageState, hash_serializable};
+
+    /// Makes the result of a stage from its present inputs.
+    fn make(run: &RunFolder, stage: &str, content: &str) {
+        let begun = run.begin(stage, &hash_serializable(&content), false).unwrap();
+        let StageState::Todo(work) = begun else { panic!("{stage} has this content already") };
+        std::fs::write(work.dir().join("content"), content).unwrap();
+        Sources::of(run, stage).write(work.dir()).unwrap();
+        work.commit().unwrap();
+    }
+
+    #[test]
+    fn results_of_an_earlier_scan_are_left_out() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunFolder::create(dir.path()).unwrap();
+        ["gaussians", "entities", "scene"].iter().for_each(|stage| make(&run, stage, "first"));
+        let shown = Shown::of(&run);
+        assert_eq!((shown.left_out.len(), shown.warnings.len()), (0, 0));
+        assert_eq!(shown.scene, Some(dir.path().join("scene")));
+
+        make(&run, "gaussians", "second");
+        let shown = Shown::of(&run);
+        assert_eq!((shown.left_out, shown.scene), (vec!["entities", "scene"], None));
+        assert_eq!(shown.warnings.iter().map(|w| w.stage.as_str()).collect::<Vec<_>>(), ["scene"]);
+        let removed: Vec<&str> = prefixes("entities").to_vec();
+        assert!(removed.contains(&"entities.") && removed.contains(&"materialize."));
+    }
 }

@@ -3,19 +3,24 @@
 use super::Run;
 use super::settings::{RunSettings, SETTINGS, regions_hash};
 use crate::cache::{inputs_hash, run_stage};
+use crate::command_options::record_options;
 use crate::networks::Networks;
+use crate::object_names::{EDITS, ObjectNames, follow};
+use crate::preview::{FOUND, FoundBox};
 use crate::resumption::AnnouncedScan;
 use crate::separate::refuse_run_in_recording;
 use crate::settings::poses_defaults;
 use crate::stages::{FramesRequest, GaussiansRequest, frames, gaussians, masks};
 use crate::{Device, Error, MasksSource, device};
-use sms_core::{CoreError, Hash, Hasher, InputError, RunFolder, Seed, atomic};
+use sms_core::{CoreError, Hash, Hasher, InputError, RunFolder, Seed, Warnings, atomic};
 use sms_frames::{Align, LoadSettings, ReadOptions, RecordedFrame, Recording, Sequence};
 use sms_gaussians::{Preset, ScanConfig, ScanObserver};
 use sms_masks::{
-    FileMasks, GeometryConfig, GeometryMasks, Labels, Segmenter, TruthMasks, load_labels, save_labels,
+    FileMasks, GeometryConfig, GeometryMasks, Labels, Segmenter, TruthMasks, load_labels, save_labels_again,
 };
+use sms_materials::Overrides;
 use sms_poses::{PosesConfig, PosesMode};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Options of a scan that are not settings of a stage, or override these.
@@ -101,6 +106,7 @@ impl Run<'_> {
             holdout: settings.scan.holdout,
             regions: None,
         };
+        record_options(self.context, &run, "scan")?;
         run.record_settings("run", &recorded)?;
         run.record_settings("read", &settings.read)?;
         run.record_settings("frames", &settings.frames.load)?;
@@ -189,7 +195,7 @@ impl Run<'_> {
                 _ => Box::new(GeometryMasks { config: geometry.clone() }),
             };
             let made = masks(sequence, &*segmenter, geometry, self.context.stage(warnings, request.seed()))?;
-            save_labels(stage.dir(), &made.labels)?;
+            self.save_masks(run, stage.dir(), made.labels.clone(), warnings)?;
             let mut metrics = made.metrics(source.name());
             if let Some(networks) = &networks {
                 networks.describe(&mut metrics);
@@ -198,6 +204,33 @@ impl Run<'_> {
             Ok(metrics)
         })?;
         Ok(load_labels(&dir)?)
+    }
+
+    /// Writes new masks with the user's edits of the earlier ones.
+    fn save_masks(
+        &self,
+        run: &RunFolder,
+        dir: &Path,
+        labels: Labels,
+        warnings: &Warnings,
+    ) -> Result<(), Error> {
+        let names = ObjectNames::of(run).unwrap_or_default();
+        let values = follow(Overrides::read_optional(&run.root().join(EDITS))?, &names).overrides;
+        let has_values = |id: u16| values.object.values().any(|o| o.label == Some(id));
+        let carried = save_labels_again(dir, labels, &run.root().join("masks"), has_values)?;
+        if !carried.ids.is_empty() {
+            renumber_found(dir, &carried.ids)?;
+        }
+        if !carried.lost.is_empty() {
+            warnings.add(
+                "masks",
+                "names_lost",
+                format!("the new masks have no counterpart of: {}", carried.lost.join(", ")),
+                "name the objects again (`sms name RUN`), and set their materials; values of objects that are gone \
+                 stay in materials.toml",
+            );
+        }
+        Ok(())
     }
 
     fn gaussians_stage(
@@ -229,6 +262,19 @@ impl Run<'_> {
         })?;
         Ok(())
     }
+}
+
+/// Gives the detections of the first frame, if there are any, the new ids of their objects.
+fn renumber_found(dir: &Path, ids: &BTreeMap<u16, u16>) -> Result<(), Error> {
+    let path = dir.join(FOUND);
+    if !path.is_file() {
+        return Ok(());
+    }
+    let mut found: Vec<FoundBox> = atomic::read_json(&path)?;
+    for one in &mut found {
+        one.id = ids.get(&one.id).copied().unwrap_or(one.id);
+    }
+    Ok(atomic::write_json(&path, &found)?)
 }
 
 /// A scan with loaded frames.

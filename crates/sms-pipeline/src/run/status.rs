@@ -3,10 +3,10 @@
 use super::Run;
 use crate::Error;
 use crate::origin::{is_page_current, staleness};
-use crate::stage_list::{STAGES, command_of, scan_option, shown};
+use crate::stage_list::{STAGES, command_of, scan_option};
 use serde::Serialize;
-use sms_core::RunFolder;
 use sms_core::metrics::Metrics;
+use sms_core::{RunFolder, shell_argument};
 use std::path::{Path, PathBuf};
 
 /// Condition of a stage's result.
@@ -117,7 +117,8 @@ impl Run<'_> {
     }
 }
 
-fn is_generated(recording: &Path) -> bool {
+/// Returns whether the recording has the ground truth of a generated scene.
+pub(crate) fn is_generated(recording: &Path) -> bool {
     recording.join("truth").join("truth.json").is_file()
 }
 
@@ -129,7 +130,7 @@ fn report_status(run: &RunFolder) -> StageStatus {
         Some(false) => (StageCondition::Stale, vec!["it shows earlier results".to_owned()]),
         None => (StageCondition::Stale, vec!["the results that it shows are not known".to_owned()]),
     };
-    let command = format!("sms report {}", shown(run.root()));
+    let command = format!("sms report {}", shell_argument(run.root()));
     StageStatus { name: "report", condition, reasons, is_interrupted: false, command }
 }
 
@@ -153,7 +154,7 @@ fn next_commands(run: &RunFolder, stages: &[StageStatus], recording: Option<&Pat
     if is("robot", StageCondition::Stale) && is("plan", StageCondition::Complete) {
         next.push(command_of(run, "robot"));
     }
-    let root = shown(run.root());
+    let root = shell_argument(run.root());
     next.push(format!("sms view {root}"));
     next.push(format!("sms export {root} --format all"));
     next
