@@ -49,6 +49,47 @@ pub(crate) fn copy_materialized_run(to: &Path) {
     copy(made, to);
 }
 
+/// A copy of the materialized run that a test may change.
+pub(crate) struct CopiedRun {
+    dir: tempfile::TempDir,
+}
+
+impl CopiedRun {
+    pub(crate) fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        copy_materialized_run(&dir.path().join("run"));
+        Self { dir }
+    }
+
+    /// The path of a file of the run.
+    pub(crate) fn path(&self, of: &str) -> PathBuf {
+        self.dir.path().join("run").join(of)
+    }
+
+    /// The run's folder as an argument.
+    pub(crate) fn folder(&self) -> String {
+        self.dir.path().join("run").to_str().unwrap().to_owned()
+    }
+
+    /// Runs a command on the run.
+    pub(crate) fn run(&self, command: &str, more: &[&str]) -> Output {
+        sms(&[&[command, &self.folder()], more].concat())
+    }
+
+    /// Runs a command, which must succeed, and returns its output.
+    pub(crate) fn done(&self, command: &str, more: &[&str]) -> String {
+        done(&[&[command, &self.folder()], more].concat())
+    }
+
+    /// Replaces the first occurrence of a text in `masks/labels.json`, which must be there.
+    pub(crate) fn edit_labels(&self, from: &str, to: &str) {
+        let path = self.path("masks/labels.json");
+        let text = fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from), "{from} in {text}");
+        fs::write(&path, text.replacen(from, to, 1)).unwrap();
+    }
+}
+
 /// Returns the path of a folder that does not exist. It lies in the target folder: a static temporary directory would
 /// never be deleted.
 fn shared_folder(name: &str) -> PathBuf {

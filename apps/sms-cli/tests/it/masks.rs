@@ -1,53 +1,36 @@
 //! Stages that edits of `masks/labels.json` repeat, and the output of `sms masks --preview`.
 
-use crate::common::{copy_materialized_run, done, recording, said, sms};
+#[cfg(feature = "nets")]
+use crate::common::sms;
+use crate::common::{CopiedRun, done, recording, said};
 use std::fs;
-use std::path::{Path, PathBuf};
 use std::process::Output;
 
-fn edit(path: &Path, from: &str, to: &str) {
-    let text = fs::read_to_string(path).unwrap();
-    assert!(text.contains(from), "{from} in {text}");
-    fs::write(path, text.replacen(from, to, 1)).unwrap();
+/// A copied run whose `labels.json` a test edits. A stage that is made again replaces its folder, and with it the mark in
+/// the folder of the Gaussians.
+fn marked_run() -> CopiedRun {
+    let run = CopiedRun::new();
+    assert!(run.path("entities/object_01").is_dir() && run.path("entities/object_02").is_dir());
+    fs::write(run.path("gaussians/mark"), "").unwrap();
+    run
 }
 
-/// A materialized run whose `labels.json` a test edits. A stage that is made again replaces its folder, and with it the
-/// mark in the folder of the Gaussians.
-struct Edited {
-    dir: tempfile::TempDir,
-}
-
-impl Edited {
-    fn new() -> Self {
-        let dir = tempfile::tempdir().unwrap();
-        copy_materialized_run(&dir.path().join("run"));
-        let edited = Self { dir };
-        assert!(edited.path("entities/object_01").is_dir() && edited.path("entities/object_02").is_dir());
-        fs::write(edited.path("gaussians/mark"), "").unwrap();
-        edited
-    }
-
-    fn path(&self, of: &str) -> PathBuf {
-        self.dir.path().join("run").join(of)
-    }
-
+impl CopiedRun {
     fn scan(&self) {
-        let (recording, run) = (recording().to_str().unwrap(), self.dir.path().join("run"));
-        let paths = ["scan", recording, "--out", run.to_str().unwrap()];
+        let paths = ["scan", recording().to_str().unwrap(), "--out", &self.folder()];
         done(&[&paths[..], &["--preset", "draft", "--set", "scan.final_steps=2"]].concat());
     }
 
     fn materialize(&self) -> Output {
-        let run = self.dir.path().join("run");
         let coarse = ["--set", "entities.point_budget=2000", "--set", "entities.texture.enabled=false"];
-        sms(&[&["materialize", run.to_str().unwrap()], &coarse[..]].concat())
+        self.run("materialize", &coarse)
     }
 }
 
 #[test]
 fn other_names_leave_the_gaussians() {
-    let run = Edited::new();
-    edit(&run.path("masks/labels.json"), "\"name\": \"object_02\"", "\"name\": \"tin\"");
+    let run = marked_run();
+    run.edit_labels("\"name\": \"object_02\"", "\"name\": \"tin\"");
     run.scan();
     assert!(run.path("gaussians/mark").is_file(), "the Gaussians were made again");
     assert!(run.materialize().status.success());
@@ -58,8 +41,8 @@ fn other_names_leave_the_gaussians() {
 
 #[test]
 fn merged_objects_need_other_gaussians() {
-    let run = Edited::new();
-    edit(&run.path("masks/labels.json"), "\"merge_into\": null", "\"merge_into\": \"object_02\"");
+    let run = marked_run();
+    run.edit_labels("\"merge_into\": null", "\"merge_into\": \"object_02\"");
     let refused = run.materialize();
     let message = said(&refused);
     assert_eq!(refused.status.code(), Some(2), "{message}");

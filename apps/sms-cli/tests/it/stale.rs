@@ -1,51 +1,19 @@
 //! Material values follow renamed objects; results stay until their successors are complete, and are marked as stale.
 
-use crate::common::{copy_materialized_run, done, recording, said, sms};
+use crate::common::{CopiedRun, done, recording, said};
 use serde_json::Value;
 use std::fs;
-use std::path::PathBuf;
-use std::process::Output;
 
 /// Settings of `materialize` that make it quick; the same as those of the copied run.
 const QUICK: [&str; 2] = ["--set", "entities.point_budget=4000"];
 
-struct Edited {
-    dir: tempfile::TempDir,
-}
-
-impl Edited {
-    fn new() -> Self {
-        let dir = tempfile::tempdir().unwrap();
-        copy_materialized_run(&dir.path().join("run"));
-        Self { dir }
-    }
-
-    fn path(&self, of: &str) -> PathBuf {
-        self.dir.path().join("run").join(of)
-    }
-
-    /// Runs a command on the run.
-    fn run(&self, command: &str, more: &[&str]) -> Output {
-        let run = self.dir.path().join("run");
-        sms(&[&[command, run.to_str().unwrap()], more].concat())
-    }
-
-    /// Runs a command, which must succeed.
-    fn done(&self, command: &str, more: &[&str]) -> String {
-        let run = self.dir.path().join("run");
-        done(&[&[command, run.to_str().unwrap()], more].concat())
-    }
-
+impl CopiedRun {
     fn json(&self, command: &str) -> Value {
         serde_json::from_str(&self.done(command, &["--json"])).unwrap()
     }
 
     fn rename(&self, from: &str, to: &str) {
-        let path = self.path("masks/labels.json");
-        let text = fs::read_to_string(&path).unwrap();
-        let (from, to) = (format!("\"name\": \"{from}\""), format!("\"name\": \"{to}\""));
-        assert!(text.contains(&from), "{text}");
-        fs::write(path, text.replacen(&from, &to, 1)).unwrap();
+        self.edit_labels(&format!("\"name\": \"{from}\""), &format!("\"name\": \"{to}\""));
     }
 
     /// Plans the recording's task with little search.
@@ -58,7 +26,7 @@ impl Edited {
 
 #[test]
 fn material_values_follow_an_object_through_renames() {
-    let run = Edited::new();
+    let run = CopiedRun::new();
     run.done("materials", &["--set", "object_03.class=rubber", "--set", "floor.friction=0.7"]);
     run.rename("object_03", "duck");
     // Before the scene has the new name, both names are known.
@@ -79,7 +47,7 @@ fn material_values_follow_an_object_through_renames() {
 
 #[test]
 fn values_of_an_object_that_is_gone_name_their_cure_and_leave_the_scene() {
-    let run = Edited::new();
+    let run = CopiedRun::new();
     let before = fs::read(run.path("scene/scene.json")).unwrap();
     fs::write(run.path("materials.toml"), "[object.teapot]\nclass = \"rubber\"\n").unwrap();
     run.rename("object_03", "duck");
@@ -103,7 +71,7 @@ fn values_of_an_object_that_is_gone_name_their_cure_and_leave_the_scene() {
 
 #[test]
 fn values_are_taken_back_without_a_scene() {
-    let run = Edited::new();
+    let run = CopiedRun::new();
     run.done("materials", &["--set", "object_03.class=rubber", "--set", "object_02.class=steel"]);
     fs::remove_dir_all(run.path("scene")).unwrap();
     run.rename("object_03", "duck");
@@ -119,7 +87,7 @@ fn values_are_taken_back_without_a_scene() {
 
 #[test]
 fn a_plan_for_another_scene_stays_and_is_stale_until_the_scene_returns() {
-    let run = Edited::new();
+    let run = CopiedRun::new();
     run.plan();
     run.done("execute", &["--engine", "rapier"]);
     let files = ["plan/plan.json", "target/execution.json"];
@@ -157,7 +125,7 @@ fn a_plan_for_another_scene_stays_and_is_stale_until_the_scene_returns() {
 
 #[test]
 fn a_new_scan_leaves_the_scene_as_it_is() {
-    let run = Edited::new();
+    let run = CopiedRun::new();
     let before = fs::read(run.path("scene/scene.json")).unwrap();
     let paths =
         ["scan", recording().to_str().unwrap(), "--out", run.path("").to_str().unwrap()].map(str::to_owned);
@@ -177,7 +145,7 @@ fn a_new_scan_leaves_the_scene_as_it_is() {
 
 #[test]
 fn names_that_cannot_be_are_refused_with_the_known_ones() {
-    let run = Edited::new();
+    let run = CopiedRun::new();
     let before = fs::read(run.path("masks/labels.json")).unwrap();
     for (names, word) in [
         (&["teapot=cup"][..], "object_01"),
