@@ -79,7 +79,7 @@ pub use progress::{JsonProgress, NoProgress, PlainProgress, Progress, Status, sh
 pub use quantile::{QuantileRule, quantile};
 pub use ranges::Ranges;
 pub use remaining_time::RemainingTime;
-pub use run_folder::{RunFolder, Stage, StageState, toml_value};
+pub use run_folder::{RunFolder, STAGE_RECORD, Stage, StageState, toml_value};
 pub use seed::{Seed, StageRng, standard_normal};
 pub use shell::{shell_argument, shell_word};
 pub use stage_context::StageContext;

@@ -16,7 +16,8 @@ struct StageRecord {
     program: String,
 }
 
-const RECORD: &str = "stage.json";
+/// File in the folder of a complete stage: the hash of its inputs and the program that made it.
+pub const STAGE_RECORD: &str = "stage.json";
 
 /// A run on disk.
 #[derive(Debug)]
@@ -100,7 +101,7 @@ impl RunFolder {
     /// [`CoreError::Input`] naming the command to run first.
     pub fn stage_dir(&self, name: &str, made_by: &str) -> Result<PathBuf, CoreError> {
         let dir = self.root.join(name);
-        if dir.join(RECORD).is_file() {
+        if dir.join(STAGE_RECORD).is_file() {
             return Ok(dir);
         }
         Err(InputError::new(
@@ -124,7 +125,7 @@ impl RunFolder {
     pub fn set_aside(&self, name: &str) -> Result<Option<PathBuf>, CoreError> {
         debug_assert!(self.lock.is_some(), "a run that was opened to read");
         let (dir, aside) = (self.root.join(name), self.root.join(format!("{name}.earlier")));
-        if !dir.join(RECORD).is_file() {
+        if !dir.join(STAGE_RECORD).is_file() {
             return Ok(None);
         }
         if aside.exists() {
@@ -165,7 +166,7 @@ impl RunFolder {
             fs::create_dir_all(&work).map_err(CoreError::write(&work))?;
             let record =
                 StageRecord { stage: name.to_owned(), inputs: inputs.clone(), program: program().to_owned() };
-            atomic::write_json(&work.join(RECORD), &record)?;
+            atomic::write_json(&work.join(STAGE_RECORD), &record)?;
         }
         Ok(StageState::Todo(Stage { name: name.to_owned(), work, done }))
     }
@@ -267,7 +268,7 @@ fn must_be_run(root: &Path) -> Result<(), InputError> {
 }
 
 fn read_record(dir: &Path) -> Option<StageRecord> {
-    atomic::read_json(&dir.join(RECORD)).ok()
+    atomic::read_json(&dir.join(STAGE_RECORD)).ok()
 }
 
 fn program() -> &'static str {

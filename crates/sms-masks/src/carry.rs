@@ -1,7 +1,7 @@
 //! Carries the user's edits of `labels.json` over to masks that are made again.
 
 use crate::names::unique;
-use crate::store::{LabelRow, load_unmerged, save_rows};
+use crate::store::{LabelRow, load_label_rows, load_unmerged, save_rows};
 use crate::{BACKGROUND, LabelInfo, LabelMap, Labels, MasksError};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -34,10 +34,16 @@ pub fn save_labels_again(
     earlier: &Path,
     has_values: impl Fn(u16) -> bool,
 ) -> Result<CarriedOver, MasksError> {
-    let (rows, maps) = load_unmerged(earlier).unwrap_or_default();
+    let rows = load_label_rows(earlier).unwrap_or_default();
     let is_target = |row: &LabelRow| rows.iter().any(|o| o.merge_into.as_ref() == Some(&row.name));
-    let kept: Vec<&LabelRow> =
+    let mut kept: Vec<&LabelRow> =
         rows.iter().filter(|row| row.is_edited() || is_target(row) || has_values(row.id)).collect();
+    // The images of earlier masks without edits are not needed.
+    let maps = if kept.is_empty() { Ok(Vec::new()) } else { load_unmerged(earlier, &rows) };
+    let maps = maps.unwrap_or_else(|_| {
+        kept.clear();
+        Vec::new()
+    });
     let counterparts = counterparts(&labels, &maps, &kept);
     let ids = new_ids(&labels.objects, &kept, &counterparts);
     let new_id = |id: u16| ids.get(&id).copied().unwrap_or(id);
@@ -131,7 +137,7 @@ fn new_ids(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{MaskSource, load_label_rows, load_labels, rename_labels, save_labels};
+    use crate::{MaskSource, load_labels, rename_labels, save_labels};
     use sms_core::{Image, atomic};
 
     /// Masks of one row of pixels; the objects are numbered from 1.

@@ -48,7 +48,7 @@ pub use names::{file_name, unique};
 pub use palette::label_color;
 pub use refine::refine_edges;
 pub use sms_core::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};
-pub use store::{LabelRow, load_label_rows, load_labels, rename_labels, save_labels};
+pub use store::{LabelRow, check_renames, load_label_rows, load_labels, rename_labels, save_labels};
 pub use truth::TruthMasks;
 pub use unknown::add_unknown;
 

@@ -94,17 +94,14 @@ pub fn load_labels(dir: &Path) -> Result<Labels, MasksError> {
     Ok(Labels { maps, objects, source: file.source })
 }
 
-/// Reads the objects and their masks, without merging any.
+/// Reads the masks of these objects, without merging any.
 ///
 /// # Errors
 /// As [`load_labels`].
-pub(crate) fn load_unmerged(dir: &Path) -> Result<(Vec<LabelRow>, Vec<LabelMap>), MasksError> {
-    let path = dir.join("labels.json");
-    let file: LabelsFile = atomic::read_json(&path)?;
-    check_and_merge(&file, &path)?;
-    let own = file.objects.iter().map(|o| (o.id, o.id)).collect();
-    let maps = load_maps(dir, file.frames, &own)?;
-    Ok((file.objects, maps))
+pub(crate) fn load_unmerged(dir: &Path, rows: &[LabelRow]) -> Result<Vec<LabelMap>, MasksError> {
+    let file: LabelsFile = atomic::read_json(&dir.join("labels.json"))?;
+    let own = rows.iter().map(|o| (o.id, o.id)).collect();
+    load_maps(dir, file.frames, &own)
 }
 
 /// Reads the masks of all frames and replaces each label by its target.
@@ -148,10 +145,23 @@ pub fn load_label_rows(dir: &Path) -> Result<Vec<LabelRow>, MasksError> {
 /// cannot be used, or one that two objects would have. The file is unchanged then.
 pub fn rename_labels(dir: &Path, renames: &[(String, String)]) -> Result<(), MasksError> {
     let path = dir.join("labels.json");
-    let mut file: LabelsFile = atomic::read_json(&path)?;
-    check_and_merge(&file, &path)?;
+    atomic::write_json(&path, &renamed_file(&path, renames)?)
+}
+
+/// Checks whether [`rename_labels`] would accept these renames; writes nothing.
+///
+/// # Errors
+/// As [`rename_labels`].
+pub fn check_renames(dir: &Path, renames: &[(String, String)]) -> Result<(), MasksError> {
+    renamed_file(&dir.join("labels.json"), renames).map(drop)
+}
+
+/// Returns the contents of `labels.json` with the new names.
+fn renamed_file(path: &Path, renames: &[(String, String)]) -> Result<LabelsFile, MasksError> {
+    let mut file: LabelsFile = atomic::read_json(path)?;
+    check_and_merge(&file, path)?;
     for (i, (from, to)) in renames.iter().enumerate() {
-        let refuse = |what: String, cure: &str| -> Result<(), MasksError> {
+        let refuse = |what: String, cure: &str| -> Result<LabelsFile, MasksError> {
             Err(InputError::new(what, format!("{from}={to}"), cure).into())
         };
         if !file.objects.iter().any(|o| o.name == *from) {
@@ -184,7 +194,7 @@ pub fn rename_labels(dir: &Path, renames: &[(String, String)]) -> Result<(), Mas
             return Err(InputError::new(what, format!("{from}={to}"), cure).into());
         }
     }
-    atomic::write_json(&path, &file)
+    Ok(file)
 }
 
 /// The cure for a name that cannot be used.

@@ -8,7 +8,7 @@ use crate::Error;
 use crate::object_names::{EDITS, ObjectNames, follow};
 use crate::stage_list::{STAGES, command_of};
 use serde::{Deserialize, Serialize};
-use sms_core::{CoreError, Hash, Hasher, InputError, RunFolder, atomic, hash_serializable};
+use sms_core::{CoreError, Hash, Hasher, InputError, RunFolder, STAGE_RECORD, atomic, hash_serializable};
 use sms_landing::LANDING_PLAN_FILE;
 use sms_masks::load_label_rows;
 use sms_materials::Overrides;
@@ -17,8 +17,6 @@ use std::path::{Path, PathBuf};
 
 /// File of the origin, in the stage's folder.
 pub(crate) const ORIGIN: &str = "origin.json";
-/// Record of the stage, which [`RunFolder`] writes.
-const RECORD: &str = "stage.json";
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Origin {
@@ -326,7 +324,7 @@ fn content_hash(dir: &Path) -> Result<Hash, CoreError> {
     let mut hasher = Hasher::new();
     for file in files {
         let name = file.strip_prefix(dir).unwrap_or(&file);
-        if name == Path::new(RECORD) || name == Path::new(ORIGIN) {
+        if name == Path::new(STAGE_RECORD) || name == Path::new(ORIGIN) {
             continue;
         }
         hasher.text(&name.to_string_lossy()).file(&file)?;

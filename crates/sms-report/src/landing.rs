@@ -1,7 +1,7 @@
 //! The landing section: the approach from above, and the predicted and realised outcomes.
 
 use crate::html::{PREDICTED, REALISED, action_table};
-use crate::top_view::{TopOutline, TopPath, TopShape, TopView};
+use crate::top_view::{LegendLine, TopOutline, TopPath, TopShape, TopView, begin_legend};
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{Mesh, escape_xml, length_text};
 use sms_landing::{LandingOutcome, LandingPlan, LandingPrediction, QUADROTOR};
@@ -184,24 +184,10 @@ pub(crate) fn landing_svg(scene: &Scene, landing: &LandingInput<'_>) -> Option<S
 
 fn legend(svg: &mut String, height: f64) {
     let y = height - 14.0;
-    let _ = write!(
-        svg,
-        "<g font-size=\"14\" fill=\"#333\"><rect x=\"0\" y=\"{:.0}\" width=\"480\" height=\"30\" \
-         fill=\"#f4f1ea\" fill-opacity=\"0.85\"/>",
-        height - 30.0
-    );
-    for (x, color, dash, text) in
-        [(10.0, PREDICTED, "", "planned"), (110.0, REALISED, " stroke-dasharray=\"7 5\"", "realised")]
-    {
-        let _ = write!(
-            svg,
-            "<line x1=\"{x:.0}\" x2=\"{:.0}\" y1=\"{y:.0}\" y2=\"{y:.0}\" stroke=\"{color}\" stroke-width=\"3\"{dash}/>\
-             <text x=\"{:.0}\" y=\"{:.0}\">{text}</text>",
-            x + 28.0,
-            x + 34.0,
-            y + 4.0
-        );
-    }
+    begin_legend(svg, height, 480, 30.0);
+    let line = |color, is_dashed, text| LegendLine { length: 28.0, color, is_dashed, text };
+    line(PREDICTED, false, "planned").write(svg, (10.0, y));
+    line(REALISED, true, "realised").write(svg, (110.0, y));
     let _ = write!(
         svg,
         "<rect x=\"212\" y=\"{:.0}\" width=\"28\" height=\"12\" fill=\"{WASH}\" fill-opacity=\"0.5\"/>\

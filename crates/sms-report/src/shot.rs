@@ -2,7 +2,7 @@
 
 use crate::html::{PREDICTED, REALISED};
 use crate::input::ReportInput;
-use crate::top_view::{TopOutline, TopPath, TopShape, TopView};
+use crate::top_view::{LegendLine, TopOutline, TopPath, TopShape, TopView, begin_legend};
 use glamx::DVec2;
 use sms_mesh::outline::convex_outline;
 use sms_scene::{Body, BodyKind, BodyShape};
@@ -92,23 +92,12 @@ fn window((low, high): (DVec2, DVec2), paths: &[TopPath]) -> (DVec2, DVec2) {
 fn legend(svg: &mut String, height: f64, is_executed: bool) {
     let y = height - 0.5 * LEGEND_PX;
     let width = if is_executed { 340 } else { 232 };
-    let _ = write!(
-        svg,
-        "<g font-size=\"14\" fill=\"#333\"><rect x=\"0\" y=\"{:.0}\" width=\"{width}\" height=\"{LEGEND_PX}\" \
-         fill=\"#f4f1ea\" fill-opacity=\"0.85\"/>",
-        height - LEGEND_PX
-    );
+    begin_legend(svg, height, width, LEGEND_PX);
     let mut x = 12.0;
-    let lines = [(PREDICTED, "", "predicted"), (REALISED, " stroke-dasharray=\"7 5\"", "realised")];
-    for (color, dash, text) in lines.into_iter().take(1 + usize::from(is_executed)) {
-        let _ = write!(
-            svg,
-            "<line x1=\"{x:.0}\" x2=\"{:.0}\" y1=\"{y:.0}\" y2=\"{y:.0}\" stroke=\"{color}\" stroke-width=\"3\"{dash}/>\
-             <text x=\"{:.0}\" y=\"{:.0}\">{text}</text>",
-            x + 32.0,
-            x + 38.0,
-            y + 4.0
-        );
+    let line = |color, is_dashed, text| LegendLine { length: 32.0, color, is_dashed, text };
+    let lines = [line(PREDICTED, false, "predicted"), line(REALISED, true, "realised")];
+    for line in lines.iter().take(1 + usize::from(is_executed)) {
+        line.write(svg, (x, y));
         x += 122.0;
     }
     let _ = write!(svg, "<text x=\"{x:.0}\" y=\"{:.0}\">grid 10 cm</text></g>", y + 4.0);

@@ -283,6 +283,40 @@ impl SvgCanvas {
     }
 }
 
+/// Writes the start of a legend along the lower border: a group of text with its background.
+pub(crate) fn begin_legend(svg: &mut String, picture_height: f64, width: u32, height: f64) {
+    let _ = write!(
+        svg,
+        "<g font-size=\"14\" fill=\"#333\"><rect x=\"0\" y=\"{:.0}\" width=\"{width}\" height=\"{height}\" \
+         fill=\"#f4f1ea\" fill-opacity=\"0.85\"/>",
+        picture_height - height
+    );
+}
+
+/// A line of a legend with its text.
+pub(crate) struct LegendLine {
+    pub(crate) length: f64,
+    pub(crate) color: &'static str,
+    pub(crate) is_dashed: bool,
+    pub(crate) text: &'static str,
+}
+
+impl LegendLine {
+    /// Writes the line from `(x, y)` on, with its text on the right.
+    pub(crate) fn write(&self, svg: &mut String, (x, y): (f64, f64)) {
+        let Self { length, color, is_dashed, text } = self;
+        let dash = if *is_dashed { " stroke-dasharray=\"7 5\"" } else { "" };
+        let _ = write!(
+            svg,
+            "<line x1=\"{x:.0}\" x2=\"{:.0}\" y1=\"{y:.0}\" y2=\"{y:.0}\" stroke=\"{color}\" stroke-width=\"3\"{dash}/>\
+             <text x=\"{:.0}\" y=\"{:.0}\">{text}</text>",
+            x + length,
+            x + length + 6.0,
+            y + 4.0
+        );
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -25,7 +25,7 @@ pub use settings::RunSettings;
 pub use simulate::is_at_rest;
 pub use status::{RunStatus, StageCondition, StageStatus};
 
-use crate::origin::{staleness, staleness_of};
+use crate::origin::{Staleness, staleness, staleness_of};
 use crate::stage_list::command_of;
 use crate::{Context, Error};
 use serde::de::DeserializeOwned;
@@ -99,14 +99,13 @@ impl<'c> Run<'c> {
 
     /// Reports that a result is stale, with the reason and the command that makes it again.
     fn warn_stale(&self, run: &RunFolder, stage: &str) {
-        self.context.warn(&stale_warning(run, stage));
+        self.context.warn(&stale_warning(run, stage, &staleness_of(run, stage)));
     }
 }
 
 /// Returns a warning with the code `stale` if a result is stale.
-fn stale_warning(run: &RunFolder, stage: &str) -> Warnings {
+fn stale_warning(run: &RunFolder, stage: &str, stale: &Staleness) -> Warnings {
     let warnings = Warnings::new();
-    let stale = staleness_of(run, stage);
     if !stale.is_empty() {
         let what = format!("the result `{stage}` is stale: {}", stale.reasons().join("; "));
         warnings.add(

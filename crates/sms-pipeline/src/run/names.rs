@@ -3,12 +3,9 @@
 use super::Run;
 use crate::Error;
 use crate::object_names::{EDITS, ObjectNames, differ, follow};
-use sms_core::{CoreError, InputError, RunFolder, atomic};
-use sms_masks::{LabelRow, load_label_rows, rename_labels};
+use sms_core::InputError;
+use sms_masks::{LabelRow, check_renames, load_label_rows, rename_labels};
 use sms_materials::Overrides;
-
-/// Folder of the copy on which renames are tried.
-const TRIAL: &str = ".names.partial";
 
 impl Run<'_> {
     /// Renames objects, all at once: each pair has the present and the new name. The user's material values follow
@@ -31,7 +28,7 @@ impl Run<'_> {
         let edits = run.root().join(EDITS);
         let read = Overrides::read_optional(&edits)?;
         let labelled = follow(read.clone(), &ObjectNames::of(&run)?).overrides;
-        try_renames(&run, renames)?;
+        check_renames(&masks, renames)?;
         // The file is rewritten only if values move, because its comments are lost then.
         let is_renamed = renames.iter().any(|(from, _)| labelled.object.contains_key(from));
         let moves = is_renamed || differ(&read, &labelled);
@@ -47,23 +44,12 @@ impl Run<'_> {
     }
 }
 
-/// Renames objects in a copy of the labels, so that refused names are found before anything of the run changes.
-fn try_renames(run: &RunFolder, renames: &[(String, String)]) -> Result<(), Error> {
-    let trial = run.root().join(TRIAL);
-    let labels = run.root().join("masks").join("labels.json");
-    let bytes = std::fs::read(&labels).map_err(CoreError::read(&labels))?;
-    atomic::write_bytes(&trial.join("labels.json"), &bytes)?;
-    let result = rename_labels(&trial, renames);
-    // A copy that stays does no harm: the next call replaces it.
-    let _ = std::fs::remove_dir_all(&trial);
-    Ok(result?)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::Context;
     use crate::object_names::{fixture::run_with_masks, write_names};
+    use sms_core::CoreError;
     use std::path::Path;
 
     const BY_HAND: &str = "# weighed on Monday\n[object.mug]\nmass_kg = 0.31\n";
@@ -80,11 +66,16 @@ mod tests {
         let edits = dir.path().join(EDITS);
         std::fs::write(&edits, BY_HAND).unwrap();
         let labels = std::fs::read(dir.path().join("masks/labels.json")).unwrap();
+        let files = || {
+            let entries = std::fs::read_dir(dir.path()).unwrap().map(|entry| entry.unwrap().file_name());
+            entries.collect::<std::collections::BTreeSet<_>>()
+        };
+        let before = files();
         for (from, to) in [("teapot", "x"), ("mug", "duck"), ("mug", "a/b")] {
             assert!(matches!(rename(dir.path(), from, to), Err(Error::Core(CoreError::Input(_)))));
             assert_eq!(std::fs::read_to_string(&edits).unwrap(), BY_HAND);
             assert_eq!(std::fs::read(dir.path().join("masks/labels.json")).unwrap(), labels);
-            assert!(!dir.path().join(TRIAL).exists());
+            assert_eq!(files(), before);
         }
     }
 

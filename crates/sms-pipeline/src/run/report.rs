@@ -6,7 +6,7 @@ use super::recorded::RecordedFrames;
 use super::status::is_generated;
 use super::{Run, RunSettings, read_optional, stale_warning};
 use crate::Error;
-use crate::origin::{PageSources, current_dir, staleness_of};
+use crate::origin::{PageSources, Staleness, current_dir, staleness};
 use crate::stage_list::{command_of, prefixes};
 use crate::stages::{ChoiceRecord, recording};
 use sms_core::metrics::Metrics;
@@ -110,13 +110,15 @@ impl Shown {
     fn of(run: &RunFolder) -> Self {
         let mut left_out = Vec::new();
         let mut warnings = Vec::new();
+        let (all, current) = (staleness(run), Staleness::default());
         let mut folder = |stage: &'static str| {
             let dir = run.stage_dir(stage, stage).ok()?;
+            let stale = all.iter().find(|s| s.0 == stage).map_or(&current, |s| &s.1);
             // The scene is stale whenever the entities are, and its warning has their reasons.
             if stage != "entities" {
-                warnings.extend(stale_warning(run, stage).snapshot());
+                warnings.extend(stale_warning(run, stage, stale).snapshot());
             }
-            if staleness_of(run, stage).replaced.is_empty() {
+            if stale.replaced.is_empty() {
                 return Some(dir);
             }
             left_out.push(stage);

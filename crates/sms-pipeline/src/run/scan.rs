@@ -195,12 +195,12 @@ impl Run<'_> {
                 _ => Box::new(GeometryMasks { config: geometry.clone() }),
             };
             let made = masks(sequence, &*segmenter, geometry, self.context.stage(warnings, request.seed()))?;
-            self.save_masks(run, stage.dir(), made.labels.clone(), warnings)?;
-            let mut metrics = made.metrics(source.name());
+            let (mut metrics, summary) = (made.metrics(source.name()), made.summary(source.name()));
+            self.save_masks(run, stage.dir(), made.labels, warnings)?;
             if let Some(networks) = &networks {
                 networks.describe(&mut metrics);
             }
-            self.context.message(made.summary(source.name()));
+            self.context.message(summary);
             Ok(metrics)
         })?;
         Ok(load_labels(&dir)?)
