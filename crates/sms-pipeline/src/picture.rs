@@ -47,12 +47,11 @@ pub(crate) fn draw_text(
     }
 }
 
-/// Returns whether a letter has ink in a column and a row. Lower-case letters become upper-case; unknown characters
-/// become a box.
+/// Returns whether a letter has ink in a column and a row. Unknown characters become a box.
 fn has_ink(letter: char, column: usize, row: usize) -> bool {
     let lines: Vec<&str> = LETTERS.lines().collect();
     let place = |letter: char| lines.chunks(8).find_map(|band| Some((&band[1..], band[0].find(letter)?)));
-    let found = place(letter.to_ascii_uppercase()).or_else(|| place('?'));
+    let found = place(letter).or_else(|| place('?'));
     found.is_some_and(|(rows, at)| rows[row].as_bytes().get(CELL.0 * at + column) == Some(&b'#'))
 }
 
@@ -77,6 +76,21 @@ mod tests {
             "#####..###..",
         ];
         assert_eq!(rows, expected);
+    }
+
+    #[test]
+    fn the_cases_of_a_letter_differ() {
+        let picture = |text: &str| {
+            let mut image = ColorImage::filled(7, 9, [9; 3]);
+            draw_text(&mut image, (0, 0), text, 1, [255; 3]);
+            image.data
+        };
+        let unknown = picture("\u{e9}");
+        for letter in 'a'..='z' {
+            let (small, large) =
+                (picture(&letter.to_string()), picture(&letter.to_ascii_uppercase().to_string()));
+            assert!(small != large && small != unknown && large != unknown, "{letter}");
+        }
     }
 
     #[test]
