@@ -9,6 +9,10 @@ use sms_scene::{BodyKind, Scene};
 pub(crate) const FLOOR_GRID: f64 = 0.1;
 /// Repetitions of the checkerboard per metre. It is two squares wide, so the squares are 0.1 m wide.
 const CHECKERS_PER_M: f64 = 5.0;
+/// Vertical angle of the free camera, radians: MuJoCo's default of 45°.
+const VIEW_ANGLE: f64 = std::f64::consts::FRAC_PI_4;
+/// Distance of the free camera from the centre when MuJoCo opens a model, as a multiple of the extent.
+const DISTANCE_PER_EXTENT: f64 = 1.5;
 /// Brightness of the dark squares relative to the light ones: enough to see the pattern beside textured objects.
 const DARK_SQUARES: f64 = 0.85;
 
@@ -35,8 +39,10 @@ pub(crate) fn statistic(scene: &Scene) -> String {
     };
     let Some(around) = corners(true).or_else(|| corners(false)) else { return String::new() };
     let millimetres = |p: DVec3| (1e3 * p).round() / 1e3;
-    // MuJoCo's extent is half of the longest side; the diagonal keeps the corners in view.
-    let extent = (500.0 * around.extents().length()).ceil() / 1e3;
+    // The sphere around the bodies fills the height of the view.
+    let radius = 0.5 * around.extents().length();
+    let distance = radius / (0.5 * VIEW_ANGLE).sin();
+    let extent = (1e3 * distance / DISTANCE_PER_EXTENT).ceil() / 1e3;
     format!(
         "  <statistic center=\"{}\" extent=\"{}\"/>\n",
         numbers(millimetres(around.center()).to_array()),
@@ -60,9 +66,10 @@ mod tests {
         let (center, extent) = (numbers_of(&text, "center"), numbers_of(&text, "extent")[0]);
         for body in scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic) {
             let far = body.x_wb.translation.distance(DVec3::new(center[0], center[1], center[2]));
-            assert!(far <= extent, "{}: {far} of {extent}", body.name);
+            let seen = 1.5 * extent * (22.5_f64).to_radians().sin();
+            assert!(far <= seen, "{}: {far} of {seen}", body.name);
         }
-        assert!(extent < 0.6, "the floor and static bodies 1 m away do not count: {extent}");
+        assert!(extent < 1.0, "the floor and static bodies 1 m away do not count: {extent}");
         scene.bodies.truncate(1);
         assert_eq!(statistic(&scene), "");
     }
