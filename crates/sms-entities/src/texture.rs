@@ -78,6 +78,12 @@ fn longest_edge(mesh: &Mesh, t: usize) -> f64 {
     a.distance(b).max(b.distance(c)).max(c.distance(a))
 }
 
+/// Returns the sum of the colour channels of a triangle's vertices.
+fn brightness(mesh: &Mesh, t: usize) -> u32 {
+    let corners = mesh.triangles[t].iter().filter_map(|&i| mesh.colors.get(i as usize));
+    corners.flatten().map(|&c| u32::from(c)).sum()
+}
+
 /// Returns squares for all triangles and the size of the atlas.
 fn pack(mesh: &Mesh, config: &TextureConfig) -> (Vec<Square>, usize, usize) {
     let mut texel = config.texel_m;
@@ -87,7 +93,8 @@ fn pack(mesh: &Mesh, config: &TextureConfig) -> (Vec<Square>, usize, usize) {
             (texels + 4 * PAD).max(LEAST_SIDE).next_multiple_of(2)
         };
         let mut order: Vec<(usize, usize)> = (0..mesh.triangles.len()).map(|t| (side(t), t)).collect();
-        order.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+        // Renderers with mipmaps mix neighbouring squares, so that those of similar brightness are neighbours.
+        order.sort_by_key(|&(side, t)| (std::cmp::Reverse(side), brightness(mesh, t), t));
         let total: usize = order.chunks(2).map(|pair| pair[0].0 * pair[0].0).sum();
         let widest = order.first().map_or(LEAST_SIDE, |o| o.0);
         let width = ((total as f64).sqrt().ceil() as usize).max(widest).next_power_of_two();
