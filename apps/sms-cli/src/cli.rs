@@ -414,7 +414,7 @@ pub(crate) struct DemoArguments {
     /// Folder of the run (default: runs/NAME-SEED).
     #[arg(long, value_name = "RUN")]
     pub out: Option<PathBuf>,
-    /// Use a smaller recording and less search: about half a minute.
+    /// Use a smaller recording and less search: half a minute for billiards, a minute for landing.
     #[arg(long)]
     pub quick: bool,
     /// Resolution and number of training steps of the scan.

@@ -43,7 +43,7 @@ pub(crate) fn warn_unusual(
                 "scene",
                 MATERIAL_UNUSUAL,
                 format!(
-                    "{key} of `{}` is {best}, but every material of the handbook has {low} to {high}",
+                    "{key} of `{}` is {best}, but every material of the table has {low} to {high}",
                     object.name
                 ),
                 "check the value and its unit; numbers of an interval are best, low, high",

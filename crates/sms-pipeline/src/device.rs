@@ -42,9 +42,13 @@ impl Device {
     /// [`InputError`] with the cure.
     pub(crate) fn refuse_missing(self) -> Result<(), InputError> {
         #[cfg(feature = "gpu")]
-        if let Self::Gpu(Some(index)) = self {
-            let count = sms_gaussians_gpu::adapters().len();
-            return if index < count { Ok(()) } else { Err(no_such_gpu(index, count)) };
+        if let Self::Gpu(choice) = self {
+            let adapters = sms_gaussians_gpu::adapters();
+            return match choice {
+                Some(index) if index >= adapters.len() => Err(no_such_gpu(index, adapters.len())),
+                None if adapters.iter().all(|a| a.software) => Err(no_gpu()),
+                _ => Ok(()),
+            };
         }
         match self {
             Self::Gpu(_) if !cfg!(feature = "gpu") => Err(without_gpu()),
@@ -59,6 +63,15 @@ fn no_such_gpu(index: usize, count: usize) -> InputError {
         format!("GPU {index} does not exist; {count} found"),
         "--device",
         "`sms devices` lists them",
+    )
+}
+
+#[cfg(feature = "gpu")]
+fn no_gpu() -> InputError {
+    InputError::new(
+        "no GPU was found",
+        "--device",
+        "install the driver of the GPU, or use --device auto; `sms devices` lists software drivers too",
     )
 }
 
@@ -134,7 +147,11 @@ mod tests {
     fn a_gpu_that_is_missing_is_refused() {
         assert!(Device::Auto.refuse_missing().is_ok() && Device::Cpu.refuse_missing().is_ok());
         assert_eq!(Device::Gpu(Some(4000)).refuse_missing().unwrap_err().path, "--device");
-        assert_eq!(Device::Gpu(None).refuse_missing().is_ok(), cfg!(feature = "gpu"));
+        #[cfg(feature = "gpu")]
+        let has_gpu = sms_gaussians_gpu::adapters().iter().any(|a| !a.software);
+        #[cfg(not(feature = "gpu"))]
+        let has_gpu = false;
+        assert_eq!(Device::Gpu(None).refuse_missing().is_ok(), has_gpu);
     }
 
     #[test]

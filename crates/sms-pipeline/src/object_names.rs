@@ -46,7 +46,8 @@ impl ObjectNames {
             None
         };
         let file = run.root().join("scene").join(NAMES);
-        let of_scene = if file.is_file() { atomic::read_json(&file)? } else { SceneNames::default() };
+        // A file of an earlier version names no labels; the names of the masks count.
+        let of_scene: SceneNames = atomic::read_json(&file).unwrap_or_default();
         // Masks that were made again may have given the labels to other objects.
         let is_current = of_scene.masks == run.stage_hash("masks");
         let in_scene = if is_current { of_scene.labels } else { BTreeMap::new() };

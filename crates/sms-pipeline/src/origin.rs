@@ -146,7 +146,12 @@ pub(crate) fn staleness(run: &RunFolder) -> Vec<(&'static str, Staleness)> {
                 continue;
             };
             if is_changed {
-                let reason = format!("`{stage}` has another result now");
+                let is_missing = run.stage_hash(stage).is_none();
+                let reason = if is_missing {
+                    format!("`{stage}` is missing")
+                } else {
+                    format!("`{stage}` has another result now")
+                };
                 if !own.replaced.contains(&reason) {
                     own.replaced.push(reason);
                 }

@@ -20,7 +20,7 @@ SMS.makeCamera = function (canvas, box, views, middle, changed) {
     return { scale, x: (box.clientWidth - scale * w) / 2, y: (box.clientHeight - scale * h) / 2, w: scale * w, h: scale * h };
   };
   const place = () => {
-    overlay.hidden = shown < 0 || !photo.src;
+    overlay.hidden = shown < 0 || !photo.src || Number(blend.value) === 0;
     if (overlay.hidden) return;
     const r = rectangle();
     Object.assign(overlay.style, {
