@@ -93,6 +93,13 @@ pub fn judge_depth_error(metres: f64) -> Judgement {
     Judgement { grade, reason }
 }
 
+/// Judges the distance within which nine tenths of a body's surface lie from the known one, metres. The limits are those
+/// of depth, because surfaces come from it.
+pub fn judge_surface_error(p90_m: f64) -> Judgement {
+    let grade = Grade::at_most(p90_m, GOOD_DEPTH_M, FAIR_DEPTH_M);
+    Judgement { grade, reason: format!("90 % of the surface is within {}", length_text(p90_m)) }
+}
+
 /// Share of worlds in which a good plan succeeds: then the stated 90 % quantile is a success.
 const GOOD_SUCCESS: f64 = 0.9;
 /// Share of worlds from which a plan does not fail more often than it succeeds.
@@ -131,7 +138,8 @@ mod tests {
         assert_eq!(grades(judge_psnr, [29.14, 26.28, 20.0, 18.7]), [Good, Fair, Fair, Poor]);
         assert_eq!(grades(judge_depth_error, [0.0013, 0.002, 0.005, 0.0051]), [Good, Good, Fair, Poor]);
         assert_eq!(grades(judge_success, [1.0, 0.9, 0.51, 0.4]), [Good, Good, Fair, Poor]);
-        for judge in [judge_psnr, judge_depth_error, judge_success] {
+        assert_eq!(grades(judge_surface_error, [0.0, 0.002, 0.005, 0.0051]), [Good, Good, Fair, Poor]);
+        for judge in [judge_psnr, judge_depth_error, judge_surface_error, judge_success] {
             assert_eq!(judge(f64::NAN).grade, Poor);
         }
         assert!(judge_psnr(20.0).to_string().starts_with("fair (colour error 10.0 %"));

@@ -69,7 +69,9 @@ pub use inertia::{
     InertiaError, MassProperties, box_mass_properties, cylinder_mass_properties, polyhedron_mass_properties,
     sphere_mass_properties,
 };
-pub use judgement::{Grade, Judgement, is_at_rest, judge_depth_error, judge_psnr, judge_success};
+pub use judgement::{
+    Grade, Judgement, is_at_rest, judge_depth_error, judge_psnr, judge_success, judge_surface_error,
+};
 pub use labels::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};
 pub use material::{Interval, Material, Property, PropertySource};
 pub use mesh::{Aabb, Mesh};

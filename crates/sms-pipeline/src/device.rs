@@ -71,7 +71,7 @@ fn no_gpu() -> InputError {
     InputError::new(
         "no GPU was found",
         "--device",
-        "install the driver of the GPU, or use --device auto; `sms devices` lists software drivers too",
+        "install the GPU's driver and the Vulkan loader (Debian: libvulkan1), or use --device auto",
     )
 }
 

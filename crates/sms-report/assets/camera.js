@@ -88,6 +88,24 @@ SMS.makeCamera = function (canvas, box, views, middle, changed) {
     controls.update();
     changed();
   };
+  // Moves the camera back until the paths that begin outside the picture are in it. A path has seven numbers per pose.
+  const reveal = (paths) => {
+    const p = new THREE.Vector3();
+    const isOutside = (path, i) => {
+      p.fromArray(path, i * 7).project(camera);
+      return Math.abs(p.x) > 0.95 || Math.abs(p.y) > 0.95 || Math.abs(p.z) > 1;
+    };
+    camera.updateMatrixWorld();
+    const hidden = paths.filter((path) => isOutside(path, 0));
+    const isCut = () => hidden.some((path) => {
+      for (let i = 0; i < path.length / 7; i++) if (isOutside(path, i)) return true;
+      return false;
+    });
+    for (let i = 0; i < 30 && isCut(); i++) {
+      turn(0, 0, 1.1);
+      camera.updateMatrixWorld();
+    }
+  };
   const keys = {
     ArrowLeft: () => turn(-0.1, 0, 1), ArrowRight: () => turn(0.1, 0, 1), ArrowUp: () => turn(0, 0.1, 1),
     ArrowDown: () => turn(0, -0.1, 1), '+': () => turn(0, 0, 0.9), '=': () => turn(0, 0, 0.9), '-': () => turn(0, 0, 1.1),
@@ -104,7 +122,7 @@ SMS.makeCamera = function (canvas, box, views, middle, changed) {
   element('previous').onclick = () => step(-1);
   element('recorded').hidden = views.length === 0;
   return {
-    camera, controls, resize, show,
+    camera, controls, resize, show, reveal,
     update: () => { if (shown < 0) controls.update(); },
   };
 };

@@ -1,6 +1,6 @@
 // This file controls the player, the layers, the names and the highlights of the 3-D view.
 'use strict';
-SMS.makePlayer = function ({ predicted, realised, arms, movers, follow, changed }) {
+SMS.makePlayer = function ({ predicted, realised, arms, movers, follow, begin, changed }) {
   const element = (id) => document.getElementById(id);
   const last = (m) => (m && m.times.length ? m.times[m.times.length - 1] : 0);
   const duration = Math.max(last(predicted), last(realised));
@@ -31,10 +31,11 @@ SMS.makePlayer = function ({ predicted, realised, arms, movers, follow, changed 
   };
   const toggle = () => {
     if (!playing && time >= duration) time = 0;
+    if (!playing) begin();
     setPlaying(!playing);
   };
   element('player').hidden = duration === 0;
-  slider.oninput = () => { time = duration * slider.value / 1000; setPlaying(false); show(); };
+  slider.oninput = () => { begin(); time = duration * slider.value / 1000; setPlaying(false); show(); };
   which.onchange = show;
   play.onclick = toggle;
   element('canvas').addEventListener('keydown', (event) => {

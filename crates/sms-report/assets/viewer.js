@@ -262,7 +262,12 @@
     view.controls.target.copy(middle);
     view.camera.position.set(middle.x - 0.8 * reach, middle.y - 0.35 * reach, middle.z + 0.5 * reach);
   }
-  const player = SMS.makePlayer({ predicted, realised, arms, movers, follow, changed });
+  // A body that begins outside the recorded view, such as a vehicle, must be visible when it moves.
+  const begin = () => {
+    const tracks = [predicted, realised].flatMap((m) => (m ? Object.entries(m.bodies) : []));
+    view.reveal(tracks.filter(([name]) => movers[name] && movers[name].moves).map(([, track]) => track));
+  };
+  const player = SMS.makePlayer({ predicted, realised, arms, movers, follow, begin, changed });
   SMS.makePanel({ canvas, box, layers, movers, splats, camera: view.camera, changed });
 
   const size = new THREE.Vector2();

@@ -2,7 +2,7 @@
 
 use crate::cli::EvaluateArguments;
 use sms_cli::front::Console;
-use sms_core::length_text;
+use sms_core::{judge_surface_error, length_text};
 use sms_pipeline::Run;
 use sms_pipeline::stages::Comparison;
 
@@ -12,9 +12,10 @@ pub(crate) fn run(console: &Console, a: &EvaluateArguments) -> anyhow::Result<()
     for c in &outcome.comparisons {
         console.say(match (outcome.is_truth, c.sphere) {
             (true, Some((center, radius))) => format!(
-                "{:>12} is {}: centre error {}, radius error {}",
+                "{:>12} is {}: {}; errors of the centre {}, of the radius {}",
                 c.entity,
                 c.description,
+                judge_surface_error(center + radius),
                 length_text(center),
                 length_text(radius)
             ),
@@ -36,17 +37,15 @@ pub(crate) fn run(console: &Console, a: &EvaluateArguments) -> anyhow::Result<()
 fn words(c: &Comparison) -> String {
     let scores = &c.scores;
     let mut text = format!(
-        "accuracy {} median, {} p90; completion {}; Chamfer {}; F1 {:.3} at 2.5 mm, {:.3} at 5 mm",
+        "{}; median error {}, completion {}, F1 {:.3} at 2.5 mm",
+        judge_surface_error(scores.accuracy_p90_m),
         length_text(scores.accuracy_median_m),
-        length_text(scores.accuracy_p90_m),
         length_text(scores.completion_median_m),
-        length_text(scores.chamfer_m),
-        scores.f1_2p5mm,
-        scores.f1_5mm
+        scores.f1_2p5mm
     );
     if let Some(s) = &c.solid {
         text += &format!(
-            "; volume × {:.2}, mass centre error {}, inertia error {:.1} %",
+            "; volume × {:.2}, errors of the mass centre {}, of the inertia {:.1} %",
             s.volume_ratio,
             length_text(s.mass_center_error_m),
             100.0 * s.inertia_error
