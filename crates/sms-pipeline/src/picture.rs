@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn what_would_leave_the_image_is_moved_or_cut() {
         let mut image = ColorImage::filled(20, 12, [9; 3]);
-        draw_text(&mut image, (19, 11), "a", 1, [255, 0, 0]);
+        draw_text(&mut image, (19, 11), "A", 1, [255, 0, 0]);
         assert_eq!((image[(12, 3)], image[(13, 3)], image[(19, 11)]), ([9; 3], [255, 0, 0], [255, 0, 0]));
         // The text is wider than the image.
         draw_text(&mut image, (0, 0), "a long name", 1, [0, 255, 0]);
