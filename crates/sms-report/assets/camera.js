@@ -88,7 +88,7 @@ SMS.makeCamera = function (canvas, box, views, middle, changed) {
     controls.update();
     changed();
   };
-  // Moves the camera back until the paths that begin outside the picture are in it. A path has seven numbers per pose.
+  // Moves the camera back until the paths that leave the picture for a tenth of their poses are in it. A pose has seven numbers.
   const reveal = (paths) => {
     const p = new THREE.Vector3();
     const isOutside = (path, i) => {
@@ -96,11 +96,13 @@ SMS.makeCamera = function (canvas, box, views, middle, changed) {
       return Math.abs(p.x) > 0.95 || Math.abs(p.y) > 0.95 || Math.abs(p.z) > 1;
     };
     camera.updateMatrixWorld();
-    const hidden = paths.filter((path) => isOutside(path, 0));
-    const isCut = () => hidden.some((path) => {
-      for (let i = 0; i < path.length / 7; i++) if (isOutside(path, i)) return true;
-      return false;
-    });
+    const outside = (path) => {
+      let count = 0;
+      for (let i = 0; i < path.length / 7; i++) if (isOutside(path, i)) count++;
+      return count;
+    };
+    const hidden = paths.filter((path) => outside(path) > 0.1 * path.length / 7);
+    const isCut = () => hidden.some((path) => outside(path) > 0);
     for (let i = 0; i < 30 && isCut(); i++) {
       turn(0, 0, 1.1);
       camera.updateMatrixWorld();

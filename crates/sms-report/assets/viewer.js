@@ -262,7 +262,7 @@
     view.controls.target.copy(middle);
     view.camera.position.set(middle.x - 0.8 * reach, middle.y - 0.35 * reach, middle.z + 0.5 * reach);
   }
-  // A body that begins outside the recorded view, such as a vehicle, must be visible when it moves.
+  // A body that moves outside the recorded view, such as a vehicle, must be visible.
   const begin = () => {
     const tracks = [predicted, realised].flatMap((m) => (m ? Object.entries(m.bodies) : []));
     view.reveal(tracks.filter(([name]) => movers[name] && movers[name].moves).map(([, track]) => track));
