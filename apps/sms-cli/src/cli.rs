@@ -31,7 +31,7 @@ pub(crate) enum Command {
     Status(StatusArguments),
     /// Rename objects of a run; without new names, list them.
     ///
-    /// Material values follow their objects. The scene has the new names after `sms materialize`.
+    /// With --ask, a vision-language model names the objects that still have a number. Material values follow their objects. The scene has the new names after `sms materialize`.
     Name(NameArguments),
     /// Check sizes, poses, units and overlap of a recording, and suggest corrections.
     Check(CheckArguments),
@@ -145,6 +145,12 @@ pub(crate) struct NameArguments {
     /// Present and new names: object_03=duck object_04=cup.
     #[arg(value_name = "OBJECT=NAME")]
     pub names: Vec<String>,
+    /// Ask a vision-language model for names and descriptions of all other objects that still have a number (`object_NN`).
+    ///
+    /// Configured with `[vlm]`, SMS_VLM_URL, SMS_VLM_MODEL and OPENAI_API_KEY. One picture of each object is sent to that
+    /// server.
+    #[arg(long)]
+    pub ask: bool,
 }
 
 #[derive(Debug, Args)]

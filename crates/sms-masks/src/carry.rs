@@ -137,7 +137,7 @@ fn new_ids(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{MaskSource, load_labels, rename_labels, save_labels};
+    use crate::{MaskSource, Rename, load_labels, rename_labels, save_labels};
     use sms_core::{Image, atomic};
 
     /// Masks of one row of pixels; the objects are numbered from 1.
@@ -169,7 +169,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let [old, new] = ["old", "new"].map(|name| dir.path().join(name));
         save_labels(&old, &labels(&[1, 1, 2, 2, 3, 3, 0, 0], &NAMES)).unwrap();
-        rename_labels(&old, &[("object_01".into(), "duck".into())]).unwrap();
+        rename_labels(&old, &[Rename::new("object_01", "duck")]).unwrap();
         let path = old.join("labels.json");
         let mut file: serde_json::Value = atomic::read_json(&path).unwrap();
         file["objects"][2]["merge_into"] = "duck".into();

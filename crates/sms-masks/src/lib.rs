@@ -44,11 +44,11 @@ pub use carry::{CarriedOver, save_labels_again};
 pub use complete::{Completed, complete};
 pub use files::FileMasks;
 pub use geometry::{GeometryConfig, GeometryMasks};
-pub use names::{file_name, unique};
+pub use names::{file_name, is_automatic, is_usable, unique};
 pub use palette::label_color;
 pub use refine::refine_edges;
 pub use sms_core::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};
-pub use store::{LabelRow, check_renames, load_label_rows, load_labels, rename_labels, save_labels};
+pub use store::{LabelRow, Rename, check_renames, load_label_rows, load_labels, rename_labels, save_labels};
 pub use truth::TruthMasks;
 pub use unknown::add_unknown;
 

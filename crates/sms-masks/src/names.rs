@@ -28,8 +28,16 @@ pub fn unique(name: String, taken: &[String]) -> String {
     (2..).map(|n| format!("{name}_{n}")).find(is_free).unwrap_or(name)
 }
 
-/// Whether a name typed by a user can be used as a file name unchanged.
-pub(crate) fn is_usable(name: &str) -> bool {
+/// Whether a source of masks gave this name: `object_` or `unknown_` with numbers.
+pub fn is_automatic(name: &str) -> bool {
+    let number = ["object_", "unknown_"].iter().find_map(|prefix| name.strip_prefix(prefix));
+    number.is_some_and(|n| {
+        n.starts_with(|c: char| c.is_ascii_digit()) && n.chars().all(|c| c.is_ascii_digit() || c == '_')
+    })
+}
+
+/// Whether an object can have this name, which is also a file name.
+pub fn is_usable(name: &str) -> bool {
     !name.is_empty()
         && name.len() <= 64
         && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
@@ -48,6 +56,12 @@ mod tests {
         assert_eq!(unique("cup".into(), &["cup".into(), "cup_2".into()]), "cup_3");
         assert_eq!(unique(file_name("Floor"), &[]), "floor_2");
         assert!(!is_usable("environment"));
+        for name in ["object_03", "object_123", "object_04_2", "unknown_01"] {
+            assert!(is_automatic(name) && is_usable(name), "{name}");
+        }
+        for name in ["object", "object_", "object_a", "object_3d_printed", "my_object_03", "mug_2"] {
+            assert!(!is_automatic(name), "{name}");
+        }
         assert!(is_usable(&file_name("../etc")) && !is_usable("../etc") && !is_usable(""));
     }
 }

@@ -45,6 +45,24 @@ impl LabelRow {
     }
 }
 
+/// A new name of an object.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Rename {
+    /// The present name.
+    pub from: String,
+    /// The new name.
+    pub to: String,
+    /// The new description; `None` keeps the present one.
+    pub description: Option<String>,
+}
+
+impl Rename {
+    /// A new name that keeps the description.
+    pub fn new(from: impl Into<String>, to: impl Into<String>) -> Self {
+        Self { from: from.into(), to: to.into(), description: None }
+    }
+}
+
 /// Writes one 16-bit label PNG per frame (`000000.png`, …) and `labels.json` into `dir`.
 ///
 /// # Errors
@@ -137,13 +155,13 @@ pub fn load_label_rows(dir: &Path) -> Result<Vec<LabelRow>, MasksError> {
     Ok(file.objects)
 }
 
-/// Renames objects in `labels.json`, all at once, so that two objects can exchange their names. `renames` has the present
-/// and the new name of each object. Merges and descriptions are kept.
+/// Renames objects in `labels.json`, all at once, so that two objects can exchange their names. Merges are kept, and
+/// descriptions without a new one.
 ///
 /// # Errors
 /// [`MasksError::Input`] naming the assignment `PRESENT=NEW` that is wrong: an object that does not exist, a name that
 /// cannot be used, or one that two objects would have. The file is unchanged then.
-pub fn rename_labels(dir: &Path, renames: &[(String, String)]) -> Result<(), MasksError> {
+pub fn rename_labels(dir: &Path, renames: &[Rename]) -> Result<(), MasksError> {
     let path = dir.join("labels.json");
     atomic::write_json(&path, &renamed_file(&path, renames)?)
 }
@@ -152,15 +170,15 @@ pub fn rename_labels(dir: &Path, renames: &[(String, String)]) -> Result<(), Mas
 ///
 /// # Errors
 /// As [`rename_labels`].
-pub fn check_renames(dir: &Path, renames: &[(String, String)]) -> Result<(), MasksError> {
+pub fn check_renames(dir: &Path, renames: &[Rename]) -> Result<(), MasksError> {
     renamed_file(&dir.join("labels.json"), renames).map(drop)
 }
 
-/// Returns the contents of `labels.json` with the new names.
-fn renamed_file(path: &Path, renames: &[(String, String)]) -> Result<LabelsFile, MasksError> {
+/// Returns the contents of `labels.json` with the new names and descriptions.
+fn renamed_file(path: &Path, renames: &[Rename]) -> Result<LabelsFile, MasksError> {
     let mut file: LabelsFile = atomic::read_json(path)?;
     check_and_merge(&file, path)?;
-    for (i, (from, to)) in renames.iter().enumerate() {
+    for (i, Rename { from, to, .. }) in renames.iter().enumerate() {
         let refuse = |what: String, cure: &str| -> Result<LabelsFile, MasksError> {
             Err(InputError::new(what, format!("{from}={to}"), cure).into())
         };
@@ -171,22 +189,23 @@ fn renamed_file(path: &Path, renames: &[(String, String)]) -> Result<LabelsFile,
                 &format!("name one of: {}", known.join(", ")),
             );
         }
-        if renames[..i].iter().any(|earlier| earlier.0 == *from) {
+        if renames[..i].iter().any(|earlier| earlier.from == *from) {
             return refuse(format!("`{from}` is given two names"), "give every object one name");
         }
         if !is_usable(to) {
             return refuse(format!("the name `{to}` cannot be used for an object"), NAMES);
         }
     }
-    let renamed = |name: &str| {
-        let found = renames.iter().find(|r| r.0 == name);
-        found.map_or_else(|| name.to_owned(), |r| r.1.clone())
-    };
+    let rename_of = |name: &str| renames.iter().find(|r| r.from == name);
+    let renamed = |name: &str| rename_of(name).map_or_else(|| name.to_owned(), |r| r.to.clone());
     for row in &mut file.objects {
+        if let Some(description) = rename_of(&row.name).and_then(|r| r.description.as_ref()) {
+            row.description.clone_from(description);
+        }
         row.name = renamed(&row.name);
         row.merge_into = row.merge_into.as_deref().map(renamed);
     }
-    for (from, to) in renames {
+    for Rename { from, to, .. } in renames {
         if file.objects.iter().filter(|o| o.name == *to).count() > 1 {
             let what = format!("two objects would have the name `{to}`");
             let cure =
@@ -313,7 +332,7 @@ mod tests {
         let path = dir.path().join("labels.json");
         let merged = merging("object_01", "object_02")(std::fs::read_to_string(&path).unwrap());
         std::fs::write(&path, merged).unwrap();
-        let pair = |from: &str, to: &str| (from.to_owned(), to.to_owned());
+        let pair = |from: &str, to: &str| Rename::new(from, to);
         let exchanged = [pair("object_02", "far"), pair("far", "object_02"), pair("object_03", "duck")];
         rename_labels(dir.path(), &exchanged).unwrap();
         let rows = load_label_rows(dir.path()).unwrap();
@@ -321,6 +340,14 @@ mod tests {
         let expected =
             [(1, "object_01", Some("far")), (2, "far", None), (3, "duck", None), (300, "object_02", None)];
         assert_eq!(named, expected);
+        let described =
+            Rename { description: Some("yellow rubber duck".into()), ..Rename::new("duck", "duck") };
+        rename_labels(dir.path(), &[described]).unwrap();
+        rename_labels(dir.path(), &[pair("duck", "goose"), pair("far", "near")]).unwrap();
+        let rows = load_label_rows(dir.path()).unwrap();
+        let texts: Vec<_> = rows.iter().map(|r| (r.name.as_str(), r.description.as_str())).collect();
+        assert_eq!(texts[1..3], [("near", ""), ("goose", "yellow rubber duck")], "descriptions stay");
+        rename_labels(dir.path(), &[pair("goose", "duck"), pair("near", "far")]).unwrap();
         // A refused name changes nothing.
         let before = std::fs::read(&path).unwrap();
         for wrong in [

@@ -47,11 +47,12 @@ pub use material_edits::{ObjectMaterials, material_properties, source_name};
 pub use networks::{MasksSource, ModelEntry, NetworksRequest, TrackMode, fetch_models, list_models};
 pub use robot_place::{RobotPlace, write_robot_place};
 pub use run::{
-    EvaluateOutcome, ExecuteOutcome, ExecuteRequest, MaterializeOutcome, MaterializeRequest, PlanRequest,
-    PlannedTask, RobotOutcome, RobotRequest, Run, RunSettings, RunStatus, ScanOutcome, ScanRequest,
-    StageCondition, StageStatus, is_at_rest,
+    EvaluateOutcome, ExecuteOutcome, ExecuteRequest, MaterializeOutcome, MaterializeRequest, NamedObjects,
+    PlanRequest, PlannedTask, RobotOutcome, RobotRequest, Run, RunSettings, RunStatus, ScanOutcome,
+    ScanRequest, StageCondition, StageStatus, is_at_rest,
 };
 pub use samples::{landing_task_of, strike_task_of, write_task_files};
 pub use settings::Settings;
 pub use sms_export::Format;
+pub use sms_masks::Rename;
 pub use vlm::{Estimates, VlmMode, estimates};

@@ -1,4 +1,4 @@
-//! Material estimates of a vision-language model.
+//! Material estimates of a vision-language model, and its client.
 
 use crate::cache::record;
 use crate::settings::vlm_defaults;
@@ -8,7 +8,7 @@ use sms_core::{InputError, Labels, RunFolder, Seed, StageContext, Warnings};
 use sms_entities::EntitySet;
 use sms_frames::Sequence;
 use sms_materials::{Estimate, ObjectQuery};
-use sms_vlm::{Answers, ApiKey, Cache, Client, VlmConfig, ask, question_about};
+use sms_vlm::{Answers, ApiKey, Cache, Client, GivenUp, VlmConfig, ask, question_about};
 use std::time::Instant;
 
 /// Folder of the stored replies in a run. It is not a stage: replies stay when the scene is rebuilt.
@@ -72,7 +72,7 @@ pub fn estimates(
     let answers = ask(&questions, client, cache, context)?;
     let mut estimates = vec![None; queries.len()];
     for (i, outcome) in indices.into_iter().zip(&answers.outcomes) {
-        estimates[i] = outcome.estimate().cloned();
+        estimates[i] = outcome.answer().cloned();
     }
     Ok(Estimates { estimates, answers })
 }
@@ -110,16 +110,22 @@ pub(crate) fn cached_estimates(
     record(context, run, "vlm", &["vlm."], metrics, &warnings)?;
     context.message(summary(answers, queries.len(), &config));
     if mode == VlmMode::On {
-        if let Some(given_up) = &answers.given_up {
-            return Err(InputError::new(given_up.what.clone(), config.url, given_up.cure.clone()).into());
-        }
-        if !answers.outcomes.is_empty() && answers.outcomes.iter().all(|o| o.estimate().is_none()) {
+        refuse_given_up(answers, &config)?;
+        if !answers.outcomes.is_empty() && answers.outcomes.iter().all(|o| o.answer().is_none()) {
             let what = "the vision-language model answered about none of the objects";
             let cure = "see the warnings above; or use --vlm auto, which falls back to the table or a prior";
             return Err(InputError::new(what, config.url, cure).into());
         }
     }
     Ok(found.estimates)
+}
+
+/// Refuses answers of a server that cannot be used.
+pub(crate) fn refuse_given_up<A>(answers: &Answers<A>, config: &VlmConfig) -> Result<(), InputError> {
+    match &answers.given_up {
+        Some(GivenUp { what, cure }) => Err(InputError::new(what.clone(), &config.url, cure.clone())),
+        None => Ok(()),
+    }
 }
 
 /// Returns a client with the API key of the environment.
@@ -145,7 +151,8 @@ fn metrics(answers: &Answers, objects: usize, config: &VlmConfig) -> Metrics {
     metrics
 }
 
-fn summary(answers: &Answers, objects: usize, config: &VlmConfig) -> String {
+/// Returns a line with the number of answers and their cost.
+pub(crate) fn summary<A>(answers: &Answers<A>, objects: usize, config: &VlmConfig) -> String {
     let usage = answers.usage;
     if usage.requests == 0 {
         let all = answers.cached();

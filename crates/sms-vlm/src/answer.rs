@@ -40,32 +40,19 @@ impl Reading {
 /// # Errors
 /// The complaint to send to the model if the reply contains no such object.
 pub fn read_reply(text: &str) -> Result<Reading, String> {
-    const CUT_OFF: &str = "the JSON object in the reply is not closed: it was cut off";
-    let found = objects(text).map_err(|e| match e {
-        NoObject::Missing => "there is no JSON object in the reply".to_owned(),
-        NoObject::CutOff => CUT_OFF.to_owned(),
-    })?;
-    let mut best: Option<Fields> = None;
-    for map in &found.maps {
-        let mut fields = Fields::default();
-        fields.collect(map, 0);
-        if best.as_ref().is_none_or(|b| fields.count() >= b.count()) {
-            best = Some(fields);
-        }
-    }
-    let nothing = if found.is_cut_off {
-        CUT_OFF
-    } else {
-        "the JSON object in the reply has none of the keys asked for"
-    };
-    best.filter(|f| f.count() > 0).map(Fields::reading).ok_or_else(|| nothing.to_owned())
+    Fields::of(text).map(Fields::reading)
 }
 
 /// Greatest depth of nesting searched.
 const MAX_DEPTH: usize = 4;
+/// Greatest number of characters of a description.
+const DESCRIPTION_CHARS: usize = 600;
+/// Greatest number of characters of a label and of a material.
+const LABEL_CHARS: usize = 80;
 
+/// A field with a word or a text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Word {
+pub(crate) enum Word {
     LabelIsRight,
     Label,
     Description,
@@ -110,8 +97,9 @@ struct Parts {
     is_repeated: bool,
 }
 
+/// The fields of a reply, in any dialect.
 #[derive(Debug, Default)]
-struct Fields {
+pub(crate) struct Fields {
     words: Vec<(Word, ReplyNode)>,
     repeated: Vec<Word>,
     parts: Vec<(EstimatedProperty, Parts)>,
@@ -126,6 +114,32 @@ enum End {
 }
 
 impl Fields {
+    /// Collects the fields of the JSON object with most answers.
+    ///
+    /// # Errors
+    /// The complaint to send to the model if the reply contains no such object.
+    pub(crate) fn of(text: &str) -> Result<Self, String> {
+        const CUT_OFF: &str = "the JSON object in the reply is not closed: it was cut off";
+        let found = objects(text).map_err(|e| match e {
+            NoObject::Missing => "there is no JSON object in the reply".to_owned(),
+            NoObject::CutOff => CUT_OFF.to_owned(),
+        })?;
+        let mut best: Option<Fields> = None;
+        for map in &found.maps {
+            let mut fields = Fields::default();
+            fields.collect(map, 0);
+            if best.as_ref().is_none_or(|b| fields.count() >= b.count()) {
+                best = Some(fields);
+            }
+        }
+        let nothing = if found.is_cut_off {
+            CUT_OFF
+        } else {
+            "the JSON object in the reply has none of the keys asked for"
+        };
+        best.filter(|f| f.count() > 0).ok_or_else(|| nothing.to_owned())
+    }
+
     fn count(&self) -> usize {
         self.words.len() + self.parts.len()
     }
@@ -210,18 +224,29 @@ impl Fields {
         parts.is_repeated |= slot.replace(node.clone()).is_some_and(|earlier| earlier != *node);
     }
 
+    /// Returns the value of a word.
+    fn node(&self, word: Word) -> Result<&ReplyNode, String> {
+        match self.words.iter().find(|(w, _)| *w == word).map(|(_, node)| node) {
+            _ if self.repeated.contains(&word) => Err("it is given twice, differently".to_owned()),
+            None | Some(ReplyNode::Null) => Err("it is missing".to_owned()),
+            Some(node) => Ok(node),
+        }
+    }
+
+    /// Returns the text of a word on one line.
+    ///
+    /// # Errors
+    /// The complaint to send to the model if there is no text, or it has no letter.
+    pub(crate) fn text(&self, word: Word) -> Result<String, String> {
+        self.node(word).and_then(text_of)
+    }
+
     fn reading(self) -> Reading {
         let mut estimate = Estimate::default();
         let mut faults = Vec::new();
         let mut fault = |field: &str, what: String| faults.push(Fault { field: field.to_owned(), what });
         for word in Word::ALL {
-            let node = self.words.iter().find(|(w, _)| *w == word).map(|(_, n)| n);
-            let read = match node {
-                _ if self.repeated.contains(&word) => Err("it is given twice, differently".to_owned()),
-                None | Some(ReplyNode::Null) => Err("it is missing".to_owned()),
-                Some(node) => set_word(&mut estimate, word, node),
-            };
-            if let Err(what) = read {
+            if let Err(what) = self.node(word).and_then(|node| set_word(&mut estimate, word, node)) {
                 fault(word.name(), what);
             }
         }
@@ -305,26 +330,29 @@ fn set_word(estimate: &mut Estimate, word: Word, node: &ReplyNode) -> Result<(),
         });
         return Ok(());
     }
-    let ReplyNode::Text(text) = node else {
-        return Err(format!("it is {} where text is needed", node.kind()));
-    };
-    let text: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
-    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    if !text.chars().any(char::is_alphabetic) {
-        return Err("it is empty".to_owned());
-    }
+    let text = text_of(node)?;
     match word {
-        Word::Description => estimate.description = shortened(&text, 600),
+        Word::Description => estimate.description = shortened(&text, DESCRIPTION_CHARS),
         Word::Material => {
             let none = ["unknown", "na", "none", "unclear", "unspecified", "indiscernible", "various"];
             if none.contains(&plain(&text).as_str()) {
                 return Err("name the likeliest material".to_owned());
             }
-            estimate.material = shortened(&text, 80);
+            estimate.material = shortened(&text, LABEL_CHARS);
         }
-        _ => estimate.label = shortened(&text, 80),
+        _ => estimate.label = shortened(&text, LABEL_CHARS),
     }
     Ok(())
+}
+
+/// Returns a text on one line.
+fn text_of(node: &ReplyNode) -> Result<String, String> {
+    let ReplyNode::Text(text) = node else {
+        return Err(format!("it is {} where text is needed", node.kind()));
+    };
+    let text: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    if text.chars().any(char::is_alphabetic) { Ok(text) } else { Err("it is empty".to_owned()) }
 }
 
 #[cfg(test)]

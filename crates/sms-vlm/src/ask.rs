@@ -1,9 +1,10 @@
 //! Asking about all objects, one question per object.
 
-use crate::answer::{Fault, Reading, read_reply};
+use crate::answer::Fault;
 use crate::cache::{Cache, CachedReply};
 use crate::client::{CallError, Client, Usage};
-use crate::prompt::{SYSTEM, form, picture_part, question, quoted, repair};
+use crate::dialect::ReplyForm;
+use crate::prompt::{picture_part, quoted, repair};
 use serde_json::{Value, json};
 use sms_core::{CoreError, Hash, StageContext, Warnings};
 use sms_materials::Estimate;
@@ -11,12 +12,12 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// The stage's name in warnings.
-const STAGE: &str = "vlm";
+pub(crate) const STAGE: &str = "vlm";
 /// Number of consecutive failures after which the server is given up.
 const FAILURES_IN_A_ROW: usize = 3;
 
 /// A question about one object.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Question {
     /// Name of the object in the scene, for messages.
     pub name: String,
@@ -30,25 +31,26 @@ pub struct Question {
 
 /// The outcome of a question.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Outcome {
-    /// Values in range and in SI units. Unusable fields are listed in `faults` and are `None` in the estimate.
+pub enum Outcome<A = Estimate> {
+    /// A validated answer: an estimate has values in range and in SI units. Unusable fields are listed in `faults` and
+    /// are absent from the answer.
     Answered {
-        /// The values.
-        estimate: Box<Estimate>,
+        /// The answer.
+        answer: Box<A>,
         /// The missing values, with reasons.
         faults: Vec<Fault>,
         /// Whether it came from the cache.
         is_cached: bool,
     },
-    /// No values: the table or the prior is used instead. Contains the reason, which is also a warning.
+    /// No answer. Contains the reason, which is also a warning.
     Fallback(String),
 }
 
-impl Outcome {
-    /// Returns the values, if any.
-    pub fn estimate(&self) -> Option<&Estimate> {
+impl<A> Outcome<A> {
+    /// Returns the answer, if any.
+    pub fn answer(&self) -> Option<&A> {
         match self {
-            Self::Answered { estimate, .. } => Some(estimate),
+            Self::Answered { answer, .. } => Some(answer),
             Self::Fallback(_) => None,
         }
     }
@@ -56,9 +58,9 @@ impl Outcome {
 
 /// Outcomes of all questions.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Answers {
+pub struct Answers<A = Estimate> {
     /// One outcome per question, in order.
-    pub outcomes: Vec<Outcome>,
+    pub outcomes: Vec<Outcome<A>>,
     /// Requests and tokens of this call; cached replies cost nothing.
     pub usage: Usage,
     /// The reason, if the server was given up.
@@ -74,10 +76,10 @@ pub struct GivenUp {
     pub cure: String,
 }
 
-impl Answers {
+impl<A> Answers<A> {
     /// Returns the number of questions with an answer.
     pub fn answered(&self) -> usize {
-        self.outcomes.iter().filter(|o| o.estimate().is_some()).count()
+        self.outcomes.iter().filter(|o| o.answer().is_some()).count()
     }
 
     /// Returns the number of answers from the cache.
@@ -86,24 +88,51 @@ impl Answers {
     }
 }
 
-/// Asks about every object, or takes the reply from the cache. Every question ends with validated values or with a
+/// A topic of questions about objects: the wording of a question, the form of the answer, and its parser.
+pub(crate) trait Topic {
+    /// The validated answer.
+    type Answer: Send;
+    /// The system message.
+    const SYSTEM: &'static str;
+    /// Rules for values that a request for a repair repeats.
+    const RULES: &'static str;
+    /// The substitute for an answer, for messages.
+    const SUBSTITUTE: &'static str;
+
+    /// Returns the text of a question.
+    fn text(question: &Question) -> String;
+
+    /// Returns the form of the answer.
+    fn form() -> ReplyForm;
+
+    /// Parses a reply: the answer, if it is usable, and the faults of the rest.
+    ///
+    /// # Errors
+    /// The complaint to send to the model if the reply has no JSON object with an answer.
+    fn read(reply: &str) -> Result<(Option<Self::Answer>, Vec<Fault>), String>;
+
+    /// Warns about an outcome with missing values, with the reason.
+    fn warn(question: &Question, outcome: &Outcome<Self::Answer>, warnings: &Warnings);
+}
+
+/// Asks about every object, or takes the reply from the cache. Every question ends with a validated answer or with a
 /// fallback reported in the warnings.
 ///
 /// # Errors
 /// [`CoreError::Interrupted`]; [`CoreError::Write`] if the cache cannot be written.
-pub fn ask(
+pub(crate) fn ask_all<T: Topic>(
     questions: &[Question],
     client: &Client,
     cache: &Cache,
     context: StageContext<'_>,
-) -> Result<Answers, CoreError> {
+) -> Result<Answers<T::Answer>, CoreError> {
     let StageContext { progress, warnings, .. } = context;
     progress.begin("vlm", questions.len() as u64);
-    let stored: Vec<Option<Outcome>> =
-        questions.iter().map(|q| from_cache(q, &key(q, client), cache, warnings)).collect();
+    let stored: Vec<Option<Outcome<T::Answer>>> =
+        questions.iter().map(|q| from_cache::<T>(q, client, cache, warnings)).collect();
     let pending: Vec<usize> = (0..questions.len()).filter(|&i| stored[i].is_none()).collect();
-    let slots: Vec<Mutex<Option<Outcome>>> = stored.into_iter().map(Mutex::new).collect();
-    let session = AskSession {
+    let slots: Vec<Mutex<Option<Outcome<T::Answer>>>> = stored.into_iter().map(Mutex::new).collect();
+    let session: AskSession<'_, T> = AskSession {
         questions,
         slots: &slots,
         client,
@@ -136,7 +165,7 @@ pub fn ask(
         progress.end("stopped");
         return Err(error);
     }
-    let outcomes: Vec<Outcome> = slots
+    let outcomes = slots
         .into_iter()
         .map(|slot| slot.into_inner().unwrap_or_else(PoisonError::into_inner))
         .map(|slot| slot.unwrap_or_else(|| Outcome::Fallback("it was not asked".to_owned())))
@@ -146,25 +175,30 @@ pub fn ask(
         usage: client.usage(),
         given_up: given_up.unwrap_or_else(PoisonError::into_inner),
     };
-    warn(questions, &answers, warnings);
+    warn::<T>(questions, &answers, warnings);
     progress.end(&format!("{} of {} answered", answers.answered(), questions.len()));
     Ok(answers)
 }
 
-fn key(q: &Question, client: &Client) -> Hash {
-    let prompt = format!("{SYSTEM}\n\n{}", question(&q.annotation, q.is_surface));
+fn key<T: Topic>(q: &Question, client: &Client) -> Hash {
+    let prompt = format!("{}\n\n{}", T::SYSTEM, T::text(q));
     Cache::key(&q.jpeg, &prompt, &client.config().model)
 }
 
-fn from_cache(q: &Question, key: &Hash, cache: &Cache, warnings: &Warnings) -> Option<Outcome> {
-    let entry = cache.get(key, &q.name, warnings)?;
-    let reading = read_reply(&entry.reply).ok().filter(Reading::is_usable)?;
-    Some(Outcome::Answered { estimate: Box::new(reading.estimate), faults: reading.faults, is_cached: true })
+fn from_cache<T: Topic>(
+    q: &Question,
+    client: &Client,
+    cache: &Cache,
+    warnings: &Warnings,
+) -> Option<Outcome<T::Answer>> {
+    let entry = cache.get(&key::<T>(q, client), &q.name, warnings)?;
+    let (answer, faults) = T::read(&entry.reply).ok()?;
+    Some(Outcome::Answered { answer: Box::new(answer?), faults, is_cached: true })
 }
 
-struct AskSession<'a> {
+struct AskSession<'a, T: Topic> {
     questions: &'a [Question],
-    slots: &'a [Mutex<Option<Outcome>>],
+    slots: &'a [Mutex<Option<Outcome<T::Answer>>>],
     client: &'a Client,
     cache: &'a Cache,
     context: StageContext<'a>,
@@ -174,7 +208,7 @@ struct AskSession<'a> {
     error: Mutex<Option<CoreError>>,
 }
 
-impl AskSession<'_> {
+impl<T: Topic> AskSession<'_, T> {
     fn work(&self, i: usize) {
         if lock(&self.error).is_some() {
             return;
@@ -205,12 +239,12 @@ impl AskSession<'_> {
         self.put(i, outcome);
     }
 
-    fn give_up(&self, what: String, cure: String) -> Outcome {
+    fn give_up(&self, what: String, cure: String) -> Outcome<T::Answer> {
         lock(&self.given_up).get_or_insert(GivenUp { what: what.clone(), cure });
         Outcome::Fallback(what)
     }
 
-    fn put(&self, i: usize, outcome: Outcome) {
+    fn put(&self, i: usize, outcome: Outcome<T::Answer>) {
         *lock(&self.slots[i]) = Some(outcome);
         let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
         self.context.progress.update(done, &self.questions[i].name);
@@ -218,14 +252,14 @@ impl AskSession<'_> {
 
     /// Asks one question, and requests at most `max_repairs` repairs. The best answer counts, even if the server
     /// fails later.
-    fn converse(&self, i: usize) -> Result<Outcome, CallError> {
+    fn converse(&self, i: usize) -> Result<Outcome<T::Answer>, CallError> {
         let q = &self.questions[i];
-        let mut messages = opening(q);
-        let mut best: Option<(Reading, String)> = None;
+        let mut messages = opening::<T>(q);
+        let mut best: Option<(T::Answer, Vec<Fault>, String)> = None;
         let mut tokens = (0, 0);
         let mut complaint = "it replied nothing".to_owned();
         let repairs = self.client.config().max_repairs;
-        let form = form();
+        let form = T::form();
         for round in 0..=repairs {
             let completion = match self.client.complete(&q.name, &form, &messages, self.context.cancel) {
                 Ok(completion) => completion,
@@ -234,12 +268,11 @@ impl AskSession<'_> {
             };
             tokens.0 += completion.prompt_tokens;
             tokens.1 += completion.completion_tokens;
-            let faults = match read_reply(&completion.text) {
-                Ok(reading) => {
-                    let faults = reading.faults.clone();
-                    let is_better = best.as_ref().is_none_or(|(b, _)| faults.len() <= b.faults.len());
-                    if reading.is_usable() && is_better {
-                        best = Some((reading, completion.text.clone()));
+            let faults = match T::read(&completion.text) {
+                Ok((answer, faults)) => {
+                    let is_better = best.as_ref().is_none_or(|(_, b, _)| faults.len() <= b.len());
+                    if let Some(answer) = answer.filter(|_| is_better) {
+                        best = Some((answer, faults.clone(), completion.text.clone()));
                     }
                     faults
                 }
@@ -254,19 +287,15 @@ impl AskSession<'_> {
             complaint = faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
             if round < repairs {
                 messages.push(quoted(&completion.text));
-                messages.push(json!({"role": "user", "content": repair(&faults)}));
+                messages.push(json!({"role": "user", "content": repair(&faults, T::RULES)}));
             }
         }
-        let Some((reading, text)) = best else {
+        let Some((answer, faults, text)) = best else {
             return Ok(Outcome::Fallback(format!("its reply cannot be used ({complaint})")));
         };
         let entry = CachedReply::new(&self.client.config().model, &q.name, &text, tokens);
-        self.cache.put(&key(q, self.client), &entry)?;
-        Ok(Outcome::Answered {
-            estimate: Box::new(reading.estimate),
-            faults: reading.faults,
-            is_cached: false,
-        })
+        self.cache.put(&key::<T>(q, self.client), &entry)?;
+        Ok(Outcome::Answered { answer: Box::new(answer), faults, is_cached: false })
     }
 }
 
@@ -274,51 +303,29 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn opening(q: &Question) -> Vec<Value> {
+fn opening<T: Topic>(q: &Question) -> Vec<Value> {
     vec![
-        json!({"role": "system", "content": SYSTEM}),
+        json!({"role": "system", "content": T::SYSTEM}),
         json!({"role": "user", "content": [
-            {"type": "text", "text": question(&q.annotation, q.is_surface)},
+            {"type": "text", "text": T::text(q)},
             picture_part(&q.jpeg),
         ]}),
     ]
 }
 
 /// Warns about every object with missing values, once, with the reason.
-fn warn(questions: &[Question], answers: &Answers, warnings: &Warnings) {
+fn warn<T: Topic>(questions: &[Question], answers: &Answers<T::Answer>, warnings: &Warnings) {
+    let all = || questions.iter().zip(&answers.outcomes);
+    let is_given_up = |outcome: &Outcome<T::Answer>| matches!((outcome, &answers.given_up), (Outcome::Fallback(what), Some(g)) if *what == g.what);
     if let Some(given_up) = &answers.given_up {
-        let without: Vec<&str> = questions
-            .iter()
-            .zip(&answers.outcomes)
-            .filter(|(_, o)| matches!(o, Outcome::Fallback(what) if *what == given_up.what))
-            .map(|(q, _)| q.name.as_str())
-            .collect();
+        let without: Vec<&str> =
+            all().filter(|(_, o)| is_given_up(o)).map(|(q, _)| q.name.as_str()).collect();
         warnings.add(
             STAGE,
             "vlm_given_up",
-            format!("{}; the table or a prior is used for {}", given_up.what, without.join(", ")),
+            format!("{}; {} for {}", given_up.what, T::SUBSTITUTE, without.join(", ")),
             given_up.cure.clone(),
         );
     }
-    for (q, outcome) in questions.iter().zip(&answers.outcomes) {
-        match outcome {
-            Outcome::Fallback(what) if answers.given_up.as_ref().is_some_and(|g| g.what == *what) => {}
-            Outcome::Fallback(what) => warnings.add(
-                STAGE,
-                "vlm_fallback",
-                format!("the model gave no estimate for {}: {what}; the table or a prior is used", q.name),
-                "run the command again, or set its values with `sms materials RUN --set`",
-            ),
-            Outcome::Answered { faults, .. } if !faults.is_empty() => {
-                let list: Vec<String> = faults.iter().map(ToString::to_string).collect();
-                warnings.add(
-                    STAGE,
-                    "vlm_partial",
-                    format!("a part of the model's estimate for {} was unusable ({})", q.name, list.join("; ")),
-                    "the table or a prior is used for that part; set better values with `sms materials RUN --set`",
-                );
-            }
-            Outcome::Answered { .. } => {}
-        }
-    }
+    all().filter(|(_, o)| !is_given_up(o)).for_each(|(q, o)| T::warn(q, o, warnings));
 }

@@ -8,7 +8,8 @@
 //! model may repair its reply at most twice. Every question ends with an [`Outcome`]: validated values, or a
 //! fallback reported in the warnings. Replies are kept on disk by image, prompt and model ([`Cache`]).
 //!
-//! [`choose`] asks the same servers for one of several numbered marks in a picture (visual prompting).
+//! [`ask_names`] asks for names and short descriptions in the same way. [`choose`] asks the same servers for one of
+//! several numbered marks in a picture (visual prompting).
 //!
 //! ```
 //! use sms_vlm::read_reply;
@@ -26,6 +27,8 @@ mod choose;
 mod client;
 mod config;
 mod dialect;
+mod material;
+mod naming;
 mod node;
 mod pause;
 mod prompt;
@@ -36,13 +39,15 @@ mod transport;
 mod view;
 
 pub use answer::{Fault, Reading, read_reply};
-pub use ask::{Answers, GivenUp, Outcome, Question, ask};
+pub use ask::{Answers, GivenUp, Outcome, Question};
 pub use cache::Cache;
 pub use choose::{ChoiceQuestion, ChooseError, ChosenMark, choose};
 pub use client::{Client, Usage};
 pub use config::VlmConfig;
 pub use dialect::Enforcement;
+pub use material::ask;
+pub use naming::{ObjectName, ask_names};
 pub use pause::{Pause, Sleep};
-pub use scene_view::question_about;
+pub use scene_view::{question_about, question_about_label};
 pub use transport::{ApiKey, HttpTransport, Reply, Request, Transport, TransportError};
 pub use view::{ObjectViewScore, PixelBounds, annotated, best_view, jpeg, picture, score_view};

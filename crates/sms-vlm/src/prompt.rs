@@ -13,8 +13,8 @@ pub(crate) const SYSTEM: &str = "You look at photographs for a robot that is goi
 acts. You judge what single objects are made of and how they behave when they touch, slide and collide. You answer with \
 one JSON object and nothing else. You give honest ranges: where a picture cannot tell, the range is wide.";
 
-/// Returns the question about one object. `annotation` is its current label; empty if it has none.
-pub(crate) fn question(annotation: &str, is_surface: bool) -> String {
+/// Returns the first sentences of a question: the place of the object in the picture.
+pub(crate) fn place(is_surface: bool) -> String {
     let mut text = String::from("The photograph shows a workspace. ");
     text.push_str(if is_surface {
         "The red box marks a surface or a fixed part of the room. Things that stand on it or before it are in the box too \
@@ -22,6 +22,17 @@ pub(crate) fn question(annotation: &str, is_surface: bool) -> String {
     } else {
         "The red box marks one object; where others are in the box too, the one meant fills most of it. "
     });
+    text
+}
+
+/// Returns a text of the user for use between quotation marks.
+pub(crate) fn unquoted(text: &str) -> String {
+    text.trim().replace(['"', '\n', '\r'], " ")
+}
+
+/// Returns the question about the material of one object. `annotation` is its current label; empty if it has none.
+pub(crate) fn question(annotation: &str, is_surface: bool) -> String {
+    let mut text = place(is_surface);
     if annotation.trim().is_empty() {
         text.push_str("Nobody has named it yet: set label_is_right to false and name it.\n\n");
     } else {
@@ -29,7 +40,7 @@ pub(crate) fn question(annotation: &str, is_surface: bool) -> String {
             text,
             "So far it is called \"{}\", which may be wrong: say in label_is_right whether that is what it is, and give in \
              label what it should be called.\n\n",
-            annotation.trim().replace(['"', '\n', '\r'], " ")
+            unquoted(annotation)
         );
     }
     text.push_str(include_str!("../assets/question.txt"));
@@ -50,16 +61,20 @@ fn example() -> String {
     out
 }
 
-/// Returns the message that requests a repair of an unusable reply.
-pub(crate) fn repair(faults: &[Fault]) -> String {
+/// Rules for the numbers of an answer.
+pub(crate) const NUMBER_RULES: &str =
+    "Numbers are plain JSON numbers in SI units (kg/m³, Pa), and low ≤ best ≤ high.";
+
+/// Returns the message that requests a repair of an unusable reply. `rules` for its values are repeated.
+pub(crate) fn repair(faults: &[Fault], rules: &str) -> String {
     let mut text = String::from("Your answer cannot be used as it is:\n");
     for fault in faults.iter().take(12) {
         let _ = writeln!(text, "- {fault}");
     }
     text.push_str(
-        "Give the whole answer again with this put right, as one JSON object of the same form and nothing else. Numbers are \
-         plain JSON numbers in SI units (kg/m³, Pa), and low ≤ best ≤ high.",
+        "Give the whole answer again with this put right, as one JSON object of the same form and nothing else. ",
     );
+    text.push_str(rules);
     text
 }
 
@@ -152,6 +167,6 @@ mod tests {
     #[test]
     fn a_repair_lists_the_faults() {
         let faults = [Fault { field: "density".into(), what: "it is missing".into() }];
-        assert!(repair(&faults).contains(&format!("- {}", faults[0])));
+        assert!(repair(&faults, NUMBER_RULES).contains(&format!("- {}", faults[0])));
     }
 }

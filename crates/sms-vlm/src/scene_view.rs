@@ -2,7 +2,7 @@
 
 use crate::{Question, VlmConfig, annotated, best_view, jpeg, picture, score_view};
 use sms_core::glamx::DVec3;
-use sms_core::{BACKGROUND, Entity, EntityKind, Image, LabelMap, Labels};
+use sms_core::{BACKGROUND, Entity, EntityKind, Image, LabelInfo, LabelMap, Labels};
 use sms_frames::{Frame, Sequence};
 use sms_materials::ObjectQuery;
 
@@ -20,6 +20,37 @@ pub fn question_about(
     config: &VlmConfig,
 ) -> Option<Question> {
     let mask_of = |frame: &Frame, map: &LabelMap| mask(frame, map, entity, support_height);
+    Some(Question {
+        name: query.name.clone(),
+        annotation: query.description.clone(),
+        is_surface: entity.is_none_or(|e| e.kind == EntityKind::Static),
+        jpeg: best_picture(mask_of, sequence, labels, config)?,
+    })
+}
+
+/// Returns the question about one object of the masks with its best view, or `None` if it is hardly visible.
+pub fn question_about_label(
+    object: &LabelInfo,
+    sequence: &Sequence,
+    labels: &Labels,
+    config: &VlmConfig,
+) -> Option<Question> {
+    let mask_of = |_: &Frame, map: &LabelMap| map.map(|label| *label == object.id);
+    Some(Question {
+        name: object.name.clone(),
+        annotation: object.description.clone(),
+        is_surface: false,
+        jpeg: best_picture(mask_of, sequence, labels, config)?,
+    })
+}
+
+/// Returns the best view of a mask with its box, JPEG.
+fn best_picture(
+    mask_of: impl Fn(&Frame, &LabelMap) -> Image<bool>,
+    sequence: &Sequence,
+    labels: &Labels,
+    config: &VlmConfig,
+) -> Option<Vec<u8>> {
     let frames = || sequence.frames.iter().zip(&labels.maps);
     let views = frames().map(|(frame, map)| score_view(&mask_of(frame, map), Some(&frame.depth)));
     let (index, view) = best_view(views)?;
@@ -27,13 +58,7 @@ pub fn question_about(
     let size = frame.color.size();
     let own = picture(&frame.color_path, size);
     let color = own.as_ref().unwrap_or(&frame.color);
-    let image = annotated(color, view.bounds, size, config.context, config.max_image_side);
-    Some(Question {
-        name: query.name.clone(),
-        annotation: query.description.clone(),
-        is_surface: entity.is_none_or(|e| e.kind == EntityKind::Static),
-        jpeg: jpeg(&image),
-    })
+    Some(jpeg(&annotated(color, view.bounds, size, config.context, config.max_image_side)))
 }
 
 /// Returns the object's mask in one frame: its label; for background, the floor is everything at the support's
@@ -145,5 +170,11 @@ mod tests {
         assert_eq!(seen.jpeg[..2], [0xFF, 0xD8]);
         assert!(ask_about(None).unwrap().is_surface, "the floor");
         assert_eq!(ask_about(Some(&entity(8, EntityKind::Dynamic, Mesh::default()))), None);
+        let of_label = |id| {
+            let object = LabelInfo { id, name: "it".into(), description: "a thing".into() };
+            question_about_label(&object, &sequence, &labels, &VlmConfig::default())
+        };
+        assert_eq!(of_label(7), Some(seen), "an object of the masks is seen as its entity is");
+        assert_eq!(of_label(8), None);
     }
 }

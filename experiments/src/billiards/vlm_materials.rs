@@ -106,7 +106,7 @@ pub(super) fn apply_vlm_materials(
         return Err(BenchError::Unanswered(InputError::new(why.what.clone(), at, why.cure.clone())));
     }
     for (question, outcome) in questions.iter().zip(&answers.outcomes) {
-        queries[question.query].estimate = outcome.estimate().cloned();
+        queries[question.query].estimate = outcome.answer().cloned();
     }
     let table = MaterialTable::builtin();
     let materials = assign(&queries, &table, None, &warnings)?;

@@ -1,5 +1,6 @@
 //! A run on disk: the stages with the cache.
 
+mod ask_names;
 mod evaluate;
 mod execute;
 mod export;
@@ -15,6 +16,7 @@ mod settings;
 mod simulate;
 mod status;
 
+pub use ask_names::NamedObjects;
 pub use evaluate::EvaluateOutcome;
 pub use execute::{ExecuteOutcome, ExecuteRequest};
 pub use materialize::{MaterializeOutcome, MaterializeRequest};

@@ -3,45 +3,58 @@
 use super::Run;
 use crate::Error;
 use crate::object_names::{EDITS, ObjectNames, differ, follow};
-use sms_core::InputError;
-use sms_masks::{LabelRow, check_renames, load_label_rows, rename_labels};
+use sms_core::{InputError, RunFolder};
+use sms_masks::{LabelRow, Rename, check_renames, load_label_rows, rename_labels};
 use sms_materials::Overrides;
+use std::path::PathBuf;
 
 impl Run<'_> {
-    /// Renames objects, all at once: each pair has the present and the new name. The user's material values follow
-    /// their objects. A scene has the new names after [`Run::materialize`]. Returns all objects of the masks, with those
+    /// Renames objects, all at once. The user's material values follow their objects. A scene has the new names after [`Run::materialize`]. Returns all objects of the masks, with those
     /// that are merged into others; without renames, writes nothing.
     ///
     /// # Errors
-    /// [`Error::Input`] if there are no masks, or naming the pair that is wrong: an unknown object, a name that cannot be
+    /// [`Error::Input`] if there are no masks, or naming the rename that is wrong: an unknown object, a name that cannot be
     /// used or that two objects would have. Nothing is renamed then.
-    pub fn rename(&self, renames: &[(String, String)]) -> Result<Vec<LabelRow>, Error> {
-        let run = if renames.is_empty() { self.open_to_read()? } else { self.open()? };
-        let masks = run.root().join("masks");
-        if !masks.join("labels.json").is_file() {
-            let cure = "run `sms scan RECORDING --out RUN` first: it finds the objects";
-            return Err(InputError::new("this run has no objects yet", &masks, cure).into());
-        }
+    pub fn rename(&self, renames: &[Rename]) -> Result<Vec<LabelRow>, Error> {
         if renames.is_empty() {
-            return Ok(load_label_rows(&masks)?);
+            return Ok(load_label_rows(&masks_dir(&self.open_to_read()?)?)?);
         }
-        let edits = run.root().join(EDITS);
-        let read = Overrides::read_optional(&edits)?;
-        let labelled = follow(read.clone(), &ObjectNames::of(&run)?).overrides;
-        check_renames(&masks, renames)?;
-        // The file is rewritten only if values move, because its comments are lost then.
-        let is_renamed = renames.iter().any(|(from, _)| labelled.object.contains_key(from));
-        let moves = is_renamed || differ(&read, &labelled);
-        // The labels of the values are written before the names change: they identify the objects afterwards.
-        if moves {
-            labelled.save(&edits)?;
-        }
-        rename_labels(&masks, renames)?;
-        if moves {
-            follow(labelled, &ObjectNames::of(&run)?).overrides.save(&edits)?;
-        }
-        Ok(load_label_rows(&masks)?)
+        rename_in(&self.open()?, renames)
     }
+}
+
+/// Returns the folder of the masks.
+///
+/// # Errors
+/// [`Error::Input`] if there are none.
+pub(super) fn masks_dir(run: &RunFolder) -> Result<PathBuf, Error> {
+    let masks = run.root().join("masks");
+    if masks.join("labels.json").is_file() {
+        return Ok(masks);
+    }
+    let cure = "run `sms scan RECORDING --out RUN` first: it finds the objects";
+    Err(InputError::new("this run has no objects yet", &masks, cure).into())
+}
+
+/// Renames objects as [`Run::rename`] does.
+pub(super) fn rename_in(run: &RunFolder, renames: &[Rename]) -> Result<Vec<LabelRow>, Error> {
+    let masks = masks_dir(run)?;
+    let edits = run.root().join(EDITS);
+    let read = Overrides::read_optional(&edits)?;
+    let labelled = follow(read.clone(), &ObjectNames::of(run)?).overrides;
+    check_renames(&masks, renames)?;
+    // The file is rewritten only if values move, because its comments are lost then.
+    let is_renamed = renames.iter().any(|r| labelled.object.contains_key(&r.from));
+    let moves = is_renamed || differ(&read, &labelled);
+    // The labels of the values are written before the names change: they identify the objects afterwards.
+    if moves {
+        labelled.save(&edits)?;
+    }
+    rename_labels(&masks, renames)?;
+    if moves {
+        follow(labelled, &ObjectNames::of(run)?).overrides.save(&edits)?;
+    }
+    Ok(load_label_rows(&masks)?)
 }
 
 #[cfg(test)]
@@ -56,7 +69,7 @@ mod tests {
 
     fn rename(dir: &Path, from: &str, to: &str) -> Result<Vec<LabelRow>, Error> {
         let context = Context::default();
-        Run::new(dir, &context).rename(&[(from.to_owned(), to.to_owned())])
+        Run::new(dir, &context).rename(&[Rename::new(from, to)])
     }
 
     #[test]

@@ -19,8 +19,8 @@ const PHOTO_SIDE: usize = 640;
 
 /// The frames of a run with their masks.
 pub(super) struct RecordedFrames {
-    sequence: Sequence,
-    labels: Labels,
+    pub(super) sequence: Sequence,
+    pub(super) labels: Labels,
 }
 
 impl RecordedFrames {

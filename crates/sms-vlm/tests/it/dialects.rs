@@ -57,7 +57,7 @@ impl Done {
             "{:?}",
             self.outcomes()
         );
-        let estimate = self.outcomes()[0].estimate().unwrap();
+        let estimate = self.outcomes()[0].answer().unwrap();
         assert_eq!((estimate.density.unwrap().best, estimate.material.as_str()), (2400.0, "ceramic"));
         assert_eq!(self.warnings, []);
     }
@@ -215,7 +215,7 @@ fn at_most_two_repairs_are_requested() {
 
     let done = one(move |_, _| reply(&units));
     assert_eq!(done.requests.len(), 3, "and no more");
-    let Outcome::Answered { estimate, faults, .. } = &done.outcomes()[0] else {
+    let Outcome::Answered { answer: estimate, faults, .. } = &done.outcomes()[0] else {
         panic!("{:?}", done.outcomes())
     };
     assert_eq!((estimate.density, estimate.friction.unwrap().best), (None, 0.4), "the rest is kept");
@@ -242,7 +242,7 @@ fn wrong_units_and_missing_fields_are_converted_or_asked_for() {
         .replace("0.5, \"low\": 0.3, \"high\": 0.6", "\"50 %\", \"low\": \"30 %\", \"high\": \"60 %\"");
     let done = one(move |_, _| reply(&text));
     done.whole();
-    let estimate = done.outcomes()[0].estimate().unwrap();
+    let estimate = done.outcomes()[0].answer().unwrap();
     assert_eq!(estimate.youngs_modulus_pa.unwrap().best, 7e10);
     assert_eq!(estimate.restitution.unwrap().high, 0.6);
     let missing = WHOLE.replace("\"friction\"", "\"weight\"");
@@ -255,7 +255,7 @@ fn wrong_units_and_missing_fields_are_converted_or_asked_for() {
 fn a_repair_that_fails_leaves_the_first_answer() {
     let partial = WHOLE.replace("\"friction\"", "\"weight\"");
     let done = one(move |n, _| if n == 0 { reply(&partial) } else { refusal(500, "out of memory") });
-    let Outcome::Answered { estimate, faults, .. } = &done.outcomes()[0] else {
+    let Outcome::Answered { answer: estimate, faults, .. } = &done.outcomes()[0] else {
         panic!("{:?}", done.outcomes())
     };
     assert_eq!((estimate.friction, faults.len()), (None, 1));

@@ -2,4 +2,5 @@
 
 mod dialects;
 mod mangled;
+mod names;
 mod server;

@@ -189,7 +189,7 @@ fn three_hundred_mangled_objects_are_answered_or_flagged_by_name() {
             _ => (&["vlm_fallback"], 3),
         };
         assert_eq!(named, expected, "{n}: {outcome:?}");
-        assert_eq!(outcome.estimate().is_none(), expected == ["vlm_fallback"], "{n}");
+        assert_eq!(outcome.answer().is_none(), expected == ["vlm_fallback"], "{n}");
         requests += rounds;
     }
     assert_eq!(answers.usage.requests, requests, "two repairs at most");
