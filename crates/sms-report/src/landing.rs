@@ -191,7 +191,7 @@ fn legend(svg: &mut String, height: f64) {
     let _ = write!(
         svg,
         "<rect x=\"212\" y=\"{:.0}\" width=\"28\" height=\"12\" fill=\"{WASH}\" fill-opacity=\"0.5\"/>\
-         <text x=\"246\" y=\"{t:.0}\">wash region</text><text x=\"330\" y=\"{t:.0}\">grid 10 cm</text></g>",
+         <text x=\"246\" y=\"{t:.0}\">wash region</text><text x=\"344\" y=\"{t:.0}\">grid 10 cm</text></g>",
         y - 6.0,
         t = y + 4.0
     );
