@@ -7,8 +7,8 @@ use sms_scene::{BodyKind, Scene};
 
 /// Distance between the lines of a plane that is drawn as a grid, metres.
 pub(crate) const FLOOR_GRID: f64 = 0.1;
-/// Squares of the checkerboard per metre. MuJoCo repeats a texture half as often per metre as `texrepeat` says: measured with 3.3
-/// and 4.0, the squares of a texture of two squares are 0.1 m wide.
+/// Squares of the checkerboard per metre. MuJoCo repeats a texture half as often per metre as `texrepeat` says: measured
+/// with 3.3 and 4.0, the squares of a texture of two squares are 0.1 m wide.
 const CHECKERS_PER_M: f64 = 10.0;
 /// Vertical angle of the free camera, radians: MuJoCo's default of 45°.
 const VIEW_ANGLE: f64 = std::f64::consts::FRAC_PI_4;

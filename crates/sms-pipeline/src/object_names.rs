@@ -15,8 +15,9 @@ const NAMES: &str = "names.json";
 /// Bodies of a scene that are no objects of the masks.
 pub(crate) const FIXED: [&str; 2] = ["environment", "floor"];
 
-/// Content of the file of the labels by name.
+/// Content of the file of the labels by name. A file of an earlier version has other keys and names no labels.
 #[derive(Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 struct SceneNames {
     /// Hash of the inputs of the masks with these labels.
     masks: Option<Hash>,
@@ -46,8 +47,7 @@ impl ObjectNames {
             None
         };
         let file = run.root().join("scene").join(NAMES);
-        // A file of an earlier version names no labels; the names of the masks count.
-        let of_scene: SceneNames = atomic::read_json(&file).unwrap_or_default();
+        let of_scene = if file.is_file() { atomic::read_json(&file)? } else { SceneNames::default() };
         // Masks that were made again may have given the labels to other objects.
         let is_current = of_scene.masks == run.stage_hash("masks");
         let in_scene = if is_current { of_scene.labels } else { BTreeMap::new() };
@@ -177,6 +177,13 @@ pub(crate) mod fixture {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_of_an_earlier_version_names_no_labels() {
+        let read: SceneNames = serde_json::from_str(r#"{"duck": 3, "cup": 4}"#).unwrap();
+        assert!(read.masks.is_none() && read.labels.is_empty());
+        assert!(serde_json::from_str::<SceneNames>(r#"{"labels": "#).is_err(), "a damaged file is an error");
+    }
 
     #[test]
     fn labels_are_no_difference_but_names_and_values_are() {

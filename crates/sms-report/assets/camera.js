@@ -88,22 +88,22 @@ SMS.makeCamera = function (canvas, box, views, middle, changed) {
     controls.update();
     changed();
   };
-  // Moves the camera back until the paths that leave the picture for a tenth of their poses are in it. A pose has seven numbers.
+  // Moves the camera back from a recorded view until the paths that leave it for a tenth of their poses are in the picture.
+  // A pose has seven numbers. A view that the user chose stays.
   const reveal = (paths) => {
+    if (shown < 0) return;
     const p = new THREE.Vector3();
-    const isOutside = (path, i) => {
-      p.fromArray(path, i * 7).project(camera);
-      return Math.abs(p.x) > 0.95 || Math.abs(p.y) > 0.95 || Math.abs(p.z) > 1;
-    };
-    camera.updateMatrixWorld();
     const outside = (path) => {
       let count = 0;
-      for (let i = 0; i < path.length / 7; i++) if (isOutside(path, i)) count++;
+      for (let i = 0; i < path.length; i += 7) {
+        p.fromArray(path, i).project(camera);
+        if (Math.abs(p.x) > 0.95 || Math.abs(p.y) > 0.95 || Math.abs(p.z) > 1) count++;
+      }
       return count;
     };
+    camera.updateMatrixWorld();
     const hidden = paths.filter((path) => outside(path) > 0.1 * path.length / 7);
-    const isCut = () => hidden.some((path) => outside(path) > 0);
-    for (let i = 0; i < 30 && isCut(); i++) {
+    for (let i = 0; i < 30 && hidden.some((path) => outside(path) > 0); i++) {
       turn(0, 0, 1.1);
       camera.updateMatrixWorld();
     }

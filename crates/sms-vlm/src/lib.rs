@@ -46,7 +46,7 @@ pub use client::{Client, Usage};
 pub use config::VlmConfig;
 pub use dialect::Enforcement;
 pub use material::ask;
-pub use naming::{ObjectName, ask_names};
+pub use naming::{ObjectName, ask_names, warn_not_named};
 pub use pause::{Pause, Sleep};
 pub use scene_view::{question_about, question_about_label};
 pub use transport::{ApiKey, HttpTransport, Reply, Request, Transport, TransportError};

@@ -127,13 +127,18 @@ impl Topic for NameTopic {
                 return;
             }
         };
-        warnings.add(
-            STAGE,
-            "not_named",
-            format!("the model gave {} no name: {why}; {}", q.name, Self::SUBSTITUTE),
-            format!("name it with `sms name RUN {}=NAME`", q.name),
-        );
+        warn_not_named(warnings, &q.name, &format!("the model gave {} no name: {why}", q.name));
     }
+}
+
+/// Warns that an object keeps its name, with the reason.
+pub fn warn_not_named(warnings: &Warnings, name: &str, why: &str) {
+    warnings.add(
+        STAGE,
+        "not_named",
+        format!("{why}; {}", NameTopic::SUBSTITUTE),
+        format!("name it with `sms name RUN {name}=NAME`"),
+    );
 }
 
 /// Returns the name in a scene of an object that a model calls `text`; `None` if that is no name.

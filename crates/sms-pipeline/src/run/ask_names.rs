@@ -8,7 +8,7 @@ use crate::vlm::{REPLIES, client, refuse_given_up, summary};
 use crate::{Context, Error};
 use sms_core::{LabelInfo, RunFolder, Seed, Warning, Warnings};
 use sms_masks::{LabelRow, Rename, check_renames, is_automatic, load_label_rows, unique};
-use sms_vlm::{Cache, Client, ObjectName, ask_names, question_about_label};
+use sms_vlm::{Cache, Client, ObjectName, ask_names, question_about_label, warn_not_named};
 
 /// Result of [`Run::rename_and_ask`].
 #[derive(Debug, Clone)]
@@ -78,12 +78,10 @@ fn ask(
                 objects.push(object.clone());
                 questions.push(question);
             }
-            None => warnings.add(
-                "vlm",
-                "not_named",
-                format!("no view shows enough of {} to ask about it; the present name is kept", object.name),
-                format!("name it with `sms name RUN {}=NAME`", object.name),
-            ),
+            None => {
+                let why = format!("no view shows enough of {} to ask about it", object.name);
+                warn_not_named(warnings, &object.name, &why);
+            }
         }
     }
     let cache = Cache::new(&run.root().join(REPLIES));

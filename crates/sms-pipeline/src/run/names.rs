@@ -9,8 +9,9 @@ use sms_materials::Overrides;
 use std::path::PathBuf;
 
 impl Run<'_> {
-    /// Renames objects, all at once. The user's material values follow their objects. A scene has the new names after [`Run::materialize`]. Returns all objects of the masks, with those
-    /// that are merged into others; without renames, writes nothing.
+    /// Renames objects, all at once. The user's material values follow their objects. A scene has the new names after
+    /// [`Run::materialize`]. Returns all objects of the masks, with those that are merged into others; without renames,
+    /// writes nothing.
     ///
     /// # Errors
     /// [`Error::Input`] if there are no masks, or naming the rename that is wrong: an unknown object, a name that cannot be
