@@ -1,6 +1,6 @@
 //! The stage cache of a run: a stage is recomputed only if its inputs or settings have changed.
 
-use crate::origin::{Sources, keep_later_origins, staleness_of};
+use crate::origin::{Sources, is_edited, keep_later_origins, staleness_of};
 use crate::stage_list::{CHECKS, STAGES, prefixes};
 use crate::{Context, Error, Event};
 use sms_core::metrics::Metrics;
@@ -18,8 +18,8 @@ pub(crate) fn inputs_hash<T: serde::Serialize>(inputs: &[&Hash], settings: &T) -
 }
 
 /// Runs a stage unless it is up to date and returns its folder. `work` fills the stage's folder and returns metrics,
-/// which are saved with the warnings. The earlier result stays until the new one is complete; later results stay, too,
-/// and are stale then.
+/// which are saved with the warnings. The earlier result stays until the new one is complete, and longer, under another
+/// name, if a user has edited it; later results stay, too, and are stale then.
 pub(crate) fn run_stage(
     context: &Context,
     run: &RunFolder,
@@ -42,6 +42,14 @@ pub(crate) fn run_stage(
             sources.write(stage.dir())?;
             keep_later_origins(run, name)?;
             drop_checks(run, name)?;
+            // Before the warnings are saved; the new result is complete.
+            if is_edited(run, name)
+                && let Some(aside) = run.set_aside(name)?
+            {
+                let what = format!("`{name}` was edited by hand and is made again without these edits");
+                let cure = format!("the edited files are in {}; copy the edits from there", aside.display());
+                warnings.add(name, "edits_set_aside", what, cure);
+            }
             // Metrics are written before the rename: if the process is killed in between, the stage runs again and
             // rewrites them.
             record(context, run, name, prefixes(name), metrics, &warnings)?;

@@ -3,6 +3,7 @@
 use crate::{Context, Error};
 use sms_core::{RunFolder, atomic, shell_word};
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// File of the options by command, in the run's folder.
 const FILE: &str = "commands.json";
@@ -26,6 +27,21 @@ pub(crate) fn record_options(context: &Context, run: &RunFolder, command: &str) 
         atomic::write_json(&run.root().join(FILE), &all)?;
     }
     Ok(())
+}
+
+/// Records the task file of the last plan that was asked for.
+///
+/// # Errors
+/// [`Error::Core`] if the file cannot be written.
+pub(crate) fn record_task(run: &RunFolder, file: &Path) -> Result<(), Error> {
+    let file = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
+    Ok(run.record_settings("task", &BTreeMap::from([("file", file)]))?)
+}
+
+/// Returns the task file of the last plan that was asked for.
+pub(crate) fn recorded_task(run: &RunFolder) -> Option<PathBuf> {
+    let table: toml::Table = atomic::read_toml(&run.root().join("run.toml")).ok()?;
+    table.get("task")?.get("file")?.as_str().map(PathBuf::from)
 }
 
 /// Returns the recorded options of a command as arguments for a shell, each after a space.

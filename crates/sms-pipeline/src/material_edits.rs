@@ -3,6 +3,7 @@
 use crate::Error;
 use crate::object_names::{EDITS, FIXED, ObjectNames, follow};
 use crate::run::Run;
+use crate::stage_list::command_of;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, Material, Property, RunFolder, Warning, Warnings, atomic};
 use sms_materials::{MATERIAL_UNUSUAL, MaterialTable, ObjectQuery, Overrides, assign};
@@ -27,6 +28,8 @@ pub struct ObjectMaterials {
     pub unused: Vec<String>,
     /// File of the edits.
     pub edits: PathBuf,
+    /// Command that rebuilds the scene with the edits and the earlier options.
+    pub rebuild: String,
     /// Warnings of the user's values beyond those of every material in the handbook.
     pub unusual: Vec<Warning>,
 }
@@ -83,7 +86,8 @@ impl Run<'_> {
             }
             None => Vec::new(),
         };
-        Ok(ObjectMaterials { objects, materials, changed, edited, unused, edits, unusual })
+        let rebuild = command_of(&run, "scene");
+        Ok(ObjectMaterials { objects, materials, changed, edited, unused, edits, rebuild, unusual })
     }
 }
 

@@ -85,8 +85,8 @@ impl Input {
                 Some(hash_serializable(&merges))
             }
             Self::Names => {
-                let kept = rows()?.into_iter().filter(|o| o.merge_into.is_none());
-                let names: Vec<_> = kept.map(|o| (o.id, o.name, o.description)).collect();
+                // With the rows of merged objects: a merge is no new name.
+                let names: Vec<_> = rows()?.into_iter().map(|o| (o.id, o.name, o.description)).collect();
                 Some(hash_serializable(&names))
             }
             Self::Materials => {
@@ -221,6 +221,14 @@ pub(crate) fn stage_state(run: &RunFolder, stage: &str) -> Option<Hash> {
         hasher.file(&file).ok()?;
     }
     Some(hasher.finish())
+}
+
+/// Returns whether a user has edited a file of a stage since it was made; an earlier version, which recorded no origin,
+/// counts as not edited.
+pub(crate) fn is_edited(run: &RunFolder, stage: &str) -> bool {
+    let dir = run.root().join(stage);
+    let Some(origin) = read(&dir).filter(|_| !editable(stage).is_empty()) else { return false };
+    content_hash(&dir).is_ok_and(|content| content != origin.content)
 }
 
 /// Inputs of a stage that is about to be made.

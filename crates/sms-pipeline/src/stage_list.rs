@@ -1,6 +1,6 @@
 //! The stages of a run in the order of the data flow, and the commands that make them.
 
-use crate::command_options::recorded_options;
+use crate::command_options::{recorded_options, recorded_task};
 use serde::de::DeserializeOwned;
 use sms_core::{RunFolder, atomic, shell_argument};
 use std::path::Path;
@@ -35,7 +35,8 @@ pub(crate) fn command_of(run: &RunFolder, stage: &str) -> String {
         "plan" => {
             let kept = run.root().join("plan").join("task.toml");
             let recorded = scan_option::<String>(run, "recording").map(|r| Path::new(&r).join("task.toml"));
-            let file = Some(kept).into_iter().chain(recorded).find(|f| f.is_file());
+            let asked = recorded_task(run);
+            let file = Some(kept).into_iter().chain(asked).chain(recorded).find(|f| f.is_file());
             let file = file.map_or_else(|| "TASK.toml".to_owned(), |f| shell_argument(&f));
             format!("sms plan {root} --task {file}{}", repeated("plan"))
         }
@@ -74,6 +75,7 @@ pub(crate) fn scan_option<T: DeserializeOwned>(run: &RunFolder, key: &str) -> Op
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::command_options::record_task;
 
     #[test]
     fn commands_repeat_the_options_of_the_run() {
@@ -93,6 +95,11 @@ mod tests {
         );
         assert_eq!(command_of(&run, "gaussians"), scan);
         assert_eq!(command_of(&run, "plan"), format!("sms plan {quoted} --task TASK.toml"));
+        // A task that was refused has no plan.
+        let refused = dir.path().join("refused.toml");
+        std::fs::write(&refused, "").unwrap();
+        record_task(&run, &refused).unwrap();
+        assert_eq!(command_of(&run, "plan"), format!("sms plan {quoted} --task {}", refused.display()));
         std::fs::create_dir(root.join("plan")).unwrap();
         std::fs::write(root.join("plan/task.toml"), "").unwrap();
         let task = root.join("plan/task.toml");

@@ -88,6 +88,18 @@ impl Selector {
         })
     }
 
+    /// Returns the reason why the selected body may be another one than intended: another word is nearer to its colour
+    /// than the selector's. `None` without such a reason.
+    pub fn doubt(&self, scene: &Scene) -> Option<String> {
+        let Some(ColorName::Word(word)) = &self.color else { return None };
+        let body = &scene.bodies[self.select(scene)?];
+        let [r, g, b] = body.color;
+        (!is_called(body.color, word)).then(|| {
+            let nearest = nearest_word(body.color);
+            format!("`{self}` selects `{}`, whose colour [{r}, {g}, {b}] is nearer to {nearest}", body.name)
+        })
+    }
+
     /// Index of the selected body in the scene; `None` if no dynamic body matches. Ties go to the first body of the
     /// scene.
     pub fn select(&self, scene: &Scene) -> Option<usize> {
@@ -110,6 +122,23 @@ impl Selector {
             .min_by(|(_, a), (_, b)| badness(a).total_cmp(&badness(b)))
             .map(|(i, _)| i)
     }
+}
+
+/// Returns whether a colour word names the colour of a body: no other word is nearer. Shading turns white into gray, so
+/// that words without hue count as one.
+fn is_called(color: [u8; 3], word: &str) -> bool {
+    let hue = |word: &str| match word.to_ascii_lowercase().as_str() {
+        "white" | "gray" | "black" => "none".to_owned(),
+        other => other.to_owned(),
+    };
+    hue(nearest_word(color)) == hue(word)
+}
+
+/// Returns the colour word that is nearest to a colour.
+fn nearest_word(color: [u8; 3]) -> &'static str {
+    let distance = |rgb: [u8; 3]| color_distance(color, rgb);
+    let nearest = COLOR_WORDS.iter().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
+    nearest.map_or("", |(word, _)| word)
 }
 
 impl fmt::Display for Selector {
@@ -195,5 +224,19 @@ mod tests {
         assert!(faults[0].is_some() && faults[0] == faults[1] && faults[2].is_some(), "{faults:?}");
         assert_ne!(faults[1], faults[2]);
         assert_eq!(Selector::sphere_of_color("White").fault(), None);
+    }
+
+    #[test]
+    fn a_color_is_called_by_its_nearest_word_in_light_and_shade() {
+        for (color, words) in [
+            ([168, 166, 160], vec!["white", "gray", "Black"]),
+            ([20, 45, 150], vec!["blue"]),
+            ([150, 25, 25], vec!["red"]),
+            ([170, 148, 30], vec!["yellow"]),
+        ] {
+            let called = COLOR_WORDS.iter().map(|w| w.0).filter(|word| is_called(color, word)).count();
+            assert_eq!(called, if words.len() > 1 { 3 } else { 1 }, "{color:?}");
+            assert!(words.iter().all(|word| is_called(color, word)), "{color:?}");
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! Task files, and actions as points in a box of named parameters.
 
-use crate::{Billiards, Strike};
+use crate::{Billiards, Selector, Strike, TermBodies};
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, InputError, atomic};
 use std::path::Path;
@@ -79,6 +79,20 @@ impl Task {
         let text = toml::to_string(self)
             .map_err(|e| CoreError::Write { path: path.to_owned(), source: std::io::Error::other(e) })?;
         atomic::write_bytes(path, text.as_bytes())
+    }
+
+    /// Returns the selectors of its bodies.
+    pub fn selectors(&self) -> Vec<&Selector> {
+        match self {
+            Self::Billiards(task) => vec![&task.cue, &task.target],
+            Self::Strike(task) => {
+                let of_terms = task.terms.iter().filter_map(|term| match term.bodies() {
+                    TermBodies::One(selector) => Some(selector),
+                    TermBodies::Others(_) => None,
+                });
+                std::iter::once(&task.strike).chain(of_terms).collect()
+            }
+        }
     }
 
     /// Name of the kind ("billiards").

@@ -28,9 +28,9 @@ pub(crate) fn run(console: &Console, a: &MaterialsArguments) -> anyhow::Result<(
     }
     if !found.changed.is_empty() {
         console.say(format!(
-            "the current scene has other values for {}: run `sms materialize {}` to rebuild it with these",
+            "the current scene has other values for {}: run `{}` to rebuild it with these",
             found.changed.join(", "),
-            shell_argument(&a.run)
+            found.rebuild
         ));
     }
     Ok(())

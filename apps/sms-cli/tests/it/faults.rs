@@ -51,6 +51,16 @@ fn expect_refusal(output: &Output, words: &[&str]) {
     }
 }
 
+#[cfg(unix)]
+#[test]
+fn a_reader_that_closes_its_end_does_not_end_the_program_early() {
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sms"));
+    command.args(["status", "/no/such/run"]).stderr(writer);
+    assert_eq!(command.status().unwrap().code(), Some(2));
+}
+
 fn blank_png(path: &Path, width: u32, height: u32) {
     let pixels = vec![0u8; (width * height * 2) as usize];
     let image = sms_core::Image::from_vec(

@@ -24,10 +24,11 @@ fn what_is_planned_for_the_robot_passes_every_check() {
     assert_eq!(program["failed_checks"], Value::Array(Vec::new()));
     assert!(run.join("robot/program.parquet").exists());
 
-    // Elsewhere than planned: the note says so, and no motion is left that does not pass.
+    // Out of reach: no motion of another pose is left.
     let elsewhere = sms(&["robot", out, "--at", "-3,0,0,0"]);
     assert_eq!(elsewhere.status.code(), Some(2), "{}", said(&elsewhere));
     assert!(said(&elsewhere).contains("cure:"), "{}", said(&elsewhere));
+    assert!(!run.join("robot").exists() && run.join("robot.earlier/program.json").exists());
 
     bad_input_is_refused(dir.path(), out, task);
 }

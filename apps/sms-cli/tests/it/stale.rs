@@ -124,6 +124,41 @@ fn a_plan_for_another_scene_stays_and_is_stale_until_the_scene_returns() {
 }
 
 #[test]
+fn a_scene_that_was_edited_by_hand_is_kept_when_another_is_made() {
+    let run = CopiedRun::new();
+    let scene = run.path("scene/scene.json");
+    let edited = fs::read_to_string(&scene).unwrap() + "\n";
+    fs::write(&scene, &edited).unwrap();
+    run.done("materialize", &QUICK);
+    assert_eq!(fs::read_to_string(&scene).unwrap(), edited, "nothing was to be made");
+    run.done("materials", &["--set", "floor.friction=0.9"]);
+    let codes = |run: &CopiedRun| {
+        let warnings: Value = serde_json::from_slice(&fs::read(run.path("warnings.json")).unwrap()).unwrap();
+        let codes = warnings.as_array().unwrap().iter().map(|w| w["code"].as_str().unwrap().to_owned());
+        codes.collect::<Vec<_>>()
+    };
+    assert!(!codes(&run).contains(&"edits_set_aside".to_owned()));
+    run.done("materialize", &QUICK);
+    assert_ne!(fs::read_to_string(&scene).unwrap(), edited);
+    assert_eq!(fs::read_to_string(run.path("scene.earlier/scene.json")).unwrap(), edited);
+    assert!(codes(&run).contains(&"edits_set_aside".to_owned()), "{:?}", codes(&run));
+    // Without an edit, the earlier scene is not kept.
+    fs::remove_dir_all(run.path("scene.earlier")).unwrap();
+    run.done("materials", &["--unset", "floor"]);
+    run.done("materialize", &QUICK);
+    assert!(!run.path("scene.earlier").exists());
+}
+
+#[test]
+fn a_merge_is_no_new_name() {
+    let run = CopiedRun::new();
+    run.edit_labels("\"merge_into\": null", "\"merge_into\": \"object_02\"");
+    let status = run.json("status");
+    let reasons = status["status.entities.reasons"].to_string();
+    assert!(reasons.contains("merged") && !reasons.contains("names"), "{reasons}");
+}
+
+#[test]
 fn a_new_scan_leaves_the_scene_as_it_is() {
     let run = CopiedRun::new();
     let before = fs::read(run.path("scene/scene.json")).unwrap();

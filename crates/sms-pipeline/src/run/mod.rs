@@ -27,12 +27,13 @@ pub use settings::RunSettings;
 pub use simulate::is_at_rest;
 pub use status::{RunStatus, StageCondition, StageStatus};
 
+use crate::cache::record;
 use crate::origin::{Staleness, staleness, staleness_of};
-use crate::stage_list::command_of;
+use crate::stage_list::{command_of, prefixes};
 use crate::{Context, Error};
 use serde::de::DeserializeOwned;
 use sms_core::metrics::Metrics;
-use sms_core::{CoreError, RunFolder, Warnings, atomic, shell_argument};
+use sms_core::{CoreError, RunFolder, StageError, Warnings, atomic, shell_argument};
 use std::path::{Path, PathBuf};
 
 /// The pipeline on a folder: each method runs one command, reuses stages with unchanged inputs, and stores its result
@@ -99,10 +100,39 @@ impl<'c> Run<'c> {
         ));
     }
 
+    /// Sets the earlier results of a request that is bad input aside, and saves the reason as a warning for the report.
+    /// Returns the error of the request, or that of a file.
+    fn refused(&self, run: &RunFolder, refusal: &Refusal, error: Error) -> Error {
+        let Some(reason) = error.input() else { return error };
+        let Refusal { code, what, stages } = *refusal;
+        let warnings = Warnings::new();
+        warnings.add(stages[0], code, format!("{what}: {}", reason.what), reason.cure.clone());
+        let set_aside = || -> Result<(), Error> {
+            for stage in stages {
+                if let Some(aside) = run.set_aside(stage)? {
+                    self.context.message(format!("the earlier `{stage}` is kept in {}", aside.display()));
+                }
+            }
+            let prefixes: Vec<&str> = stages.iter().flat_map(|stage| prefixes(stage)).copied().collect();
+            record(self.context, run, stages[0], &prefixes, Metrics::new(), &warnings)
+        };
+        set_aside().err().unwrap_or(error)
+    }
+
     /// Reports that a result is stale, with the reason and the command that makes it again.
     fn warn_stale(&self, run: &RunFolder, stage: &str) {
         self.context.warn(&stale_warning(run, stage, &staleness_of(run, stage)));
     }
+}
+
+/// A request that is refused, although an earlier one has a result.
+struct Refusal {
+    /// Code of the warning.
+    code: &'static str,
+    /// First words of the warning.
+    what: &'static str,
+    /// The stage and those made from it.
+    stages: &'static [&'static str],
 }
 
 /// Returns a warning with the code `stale` if a result is stale.

@@ -1,8 +1,8 @@
 //! Scene and task → plan.
 
-use super::{Run, RunSettings};
-use crate::cache::{inputs_hash, record, run_stage};
-use crate::command_options::record_options;
+use super::{Refusal, Run, RunSettings};
+use crate::cache::{inputs_hash, run_stage};
+use crate::command_options::{record_options, record_task};
 use crate::origin::{current_dir, stage_state};
 use crate::settings::vlm_defaults;
 use crate::stages::{ChosenLanding, LandingChooser, LandingProblem, StrikeProblem, choose_landing};
@@ -10,7 +10,7 @@ use crate::vlm::{REPLIES, client};
 use crate::{Error, RobotPlace};
 use sms_core::metrics::Metrics;
 use sms_core::write_png_color;
-use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, StageContext, StageError, Warnings, atomic};
+use sms_core::{Hash, Hasher, InputError, RunFolder, Seed, StageContext, Warnings, atomic};
 use sms_frames::{FloorAt, Sequence, floor_at, load_depths};
 use sms_landing::{CarriedOut, LandingPlan, LandingPlanOutcome, LandingSettings, LandingTask};
 use sms_plan::{Plan, PlanConfig, load_plan, save_plan, write_trials};
@@ -30,6 +30,10 @@ pub(super) const PICTURES: [(&str, &str); 2] = [
     ("choice_sites.png", "landing sites, the chosen one in green"),
     ("choice_approaches.png", "approaches to it, the chosen one in colour"),
 ];
+
+/// A task that the scene does not fit: an earlier plan must not be flown by mistake.
+const REFUSED_LANDING: Refusal =
+    Refusal { code: "landing_refused", what: "no landing was planned", stages: &["plan", "target"] };
 
 /// Options of [`Run::plan`].
 #[derive(Debug, Clone, Default)]
@@ -105,6 +109,7 @@ impl Run<'_> {
         let strike = StrikeProblem::new(&task, &scene, &robot)?;
         let out_of_view = refuse_places_off_the_floor(&run, &strike.task, &request.task)?;
         record_options(self.context, &run, "plan")?;
+        record_task(&run, &request.task)?;
         run.record_settings("plan", &config)?;
         let urdf = robot.config.urdf.as_deref();
         let hash =
@@ -112,6 +117,9 @@ impl Run<'_> {
         let dir = run_stage(self.context, &run, "plan", &hash, |stage, warnings| {
             let began = Instant::now();
             warn_out_of_view(&out_of_view, warnings);
+            for doubt in task.selectors().iter().filter_map(|selector| selector.doubt(&scene)) {
+                warnings.add("plan", "other_color", doubt, "if it is another body, select it by its `name`");
+            }
             if config.perturbation.worlds > 0 && is_evaluations_set {
                 warnings.add(
                     "plan",
@@ -132,29 +140,15 @@ impl Run<'_> {
         Ok(PlannedTask::Strike { plan: Box::new(load_plan(&dir)?), bodies, dir })
     }
 
-    /// Plans a landing. A refused task is also saved as a warning for the report, and an earlier plan is set aside so
-    /// that it is not flown by mistake.
+    /// Plans a landing. If the task is refused, an earlier plan is set aside.
     fn plan_landing(&self, request: &PlanRequest) -> Result<PlannedTask, Error> {
         let run = self.open()?;
         let order = self.landing_order(request, &run)?;
-        let error = match self.landing_stage(&order, &run) {
-            Ok(planned) => {
-                self.tell_stale(&run);
-                return Ok(planned);
-            }
-            Err(error) => error,
-        };
-        let Some(refused) = error.input().cloned() else { return Err(error) };
-        for stage in ["target", "plan"] {
-            if let Some(aside) = run.set_aside(stage)? {
-                self.context.message(format!("the earlier `{stage}` is kept in {}", aside.display()));
-            }
-        }
-        let warnings = Warnings::new();
-        let what = format!("no landing was planned: {}", refused.what);
-        warnings.add("plan", "landing_refused", what, refused.cure.clone());
-        record(self.context, &run, "plan", &["plan.", "execute."], Metrics::new(), &warnings)?;
-        Err(refused.into())
+        record_task(&run, &request.task)?;
+        let planned =
+            self.landing_stage(&order, &run).map_err(|error| self.refused(&run, &REFUSED_LANDING, error))?;
+        self.tell_stale(&run);
+        Ok(planned)
     }
 
     /// Reads the files and settings of a landing. Their errors say nothing about the task.

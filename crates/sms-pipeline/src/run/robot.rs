@@ -1,6 +1,6 @@
 //! Plans the arm's motion for a planned strike.
 
-use super::{Run, RunSettings};
+use super::{Refusal, Run, RunSettings};
 use crate::cache::{inputs_hash, run_stage};
 use crate::origin::{current_dir, stage_state};
 use crate::robot_place::no_place;
@@ -16,6 +16,10 @@ use sms_robots::{
 use sms_scene::{Scene, load_scene};
 use sms_task::{ResolvedTask, Task};
 use std::path::{Path, PathBuf};
+
+/// A strike that the arm cannot make: a robot must not load the motion of another pose by mistake.
+const REFUSED_MOTION: Refusal =
+    Refusal { code: "motion_refused", what: "no motion was planned", stages: &["robot"] };
 
 /// Options of [`Run::robot`].
 #[derive(Debug, Clone, Copy, Default)]
@@ -47,7 +51,8 @@ impl Run<'_> {
     /// Plans the arm's motion for the planned strike, checks it, and writes it for the robot.
     ///
     /// # Errors
-    /// [`Error::Input`] if the plan is stale, the robot's pose is not known, or the arm cannot make the strike.
+    /// [`Error::Input`] if the plan is stale, the robot's pose is not known, or the arm cannot make the strike; an earlier
+    /// motion is then set aside.
     pub fn robot(&self, request: &RobotRequest) -> Result<RobotOutcome, Error> {
         let run = self.open()?;
         let scene_dir = run.stage_dir("scene", "materialize")?;
@@ -80,11 +85,12 @@ impl Run<'_> {
         // Includes all files of the robot: its URDF, and the meshes and packages that it names.
         let robot_text = format!("{robot:?}");
         let hash = inputs_hash(&[&read.finish()], &(&config, robot_text, request.keep_failed))?;
-        let dir = run_stage(self.context, &run, "robot", &hash, |stage, _| {
-            let motion =
-                PlannedMotion { robot: &robot, config: &config, task: &task, scene: &scene, plan: &plan };
+        let motion =
+            PlannedMotion { robot: &robot, config: &config, task: &task, scene: &scene, plan: &plan };
+        let made = run_stage(self.context, &run, "robot", &hash, |stage, _| {
             motion.write(request.keep_failed, stage.dir())
-        })?;
+        });
+        let dir = made.map_err(|error| self.refused(&run, &REFUSED_MOTION, error))?;
         let check: StrikeCheck = atomic::read_json(&dir.join("check.json"))?;
         let is_other = |place: &DPose3| place.translation.distance(x_wr.translation) > 1e-6;
         let planned_at = plan.robot.as_ref().and_then(|r| r.x_wr(&scene.x_world_recording));
