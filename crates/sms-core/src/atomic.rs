@@ -84,13 +84,15 @@ pub fn read_toml_as<T: DeserializeOwned>(path: &Path, what: &str) -> Result<T, C
         InputError::new(fault, path, "check the path and its permissions").because(e)
     })?;
     toml::from_str(&text).map_err(|e| {
-        InputError::new(
-            format!("this {what} has an error"),
-            path,
-            "correct the line named above; `unknown field` lists the keys that exist",
-        )
-        .because(format!("\n{}", e.to_string().trim_end()))
-        .into()
+        let reason = e.to_string();
+        let cure = match () {
+            () if reason.contains("missing field") => "add the missing key",
+            () if reason.contains("unknown field") => "use one of the keys listed above",
+            () => "correct the line named above",
+        };
+        InputError::new(format!("this {what} has an error"), path, cure)
+            .because(format!("\n{}", reason.trim_end()))
+            .into()
     })
 }
 

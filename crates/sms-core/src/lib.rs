@@ -85,5 +85,5 @@ pub use run_folder::{RunFolder, STAGE_RECORD, Stage, StageState, toml_value};
 pub use seed::{Seed, StageRng, standard_normal};
 pub use shell::{shell_argument, shell_word};
 pub use stage_context::StageContext;
-pub use text::{duration_text, escape_xml, length_text, lengths_text, wrapped};
+pub use text::{counted, duration_text, escape_xml, length_text, lengths_text, wrapped};
 pub use warnings::{Warning, Warnings};

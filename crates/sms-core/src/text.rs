@@ -17,6 +17,11 @@ pub fn lengths_text<const N: usize>(metres: [f64; N]) -> [String; N] {
     metres.map(|m| format!("{:.2} {unit}", m * per_metre))
 }
 
+/// Formats a count with its noun: `1 pair`, `3 pairs`.
+pub fn counted(count: usize, one: &str, more: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { more })
+}
+
 /// Formats a duration: `41 s`, `2 min 10 s`, `1 h 5 min`.
 pub fn duration_text(seconds: f64) -> String {
     let whole = seconds.max(0.0).round() as u64;

@@ -84,9 +84,11 @@ impl Hardness<'_> {
         let mut ordered: Vec<(f64, PerturbedWorld)> = loads.into_iter().zip(worlds).collect();
         ordered.sort_by(|a, b| a.0.total_cmp(&b.0));
         self.progress.end(&match (ordered.first(), ordered.get(count / 2)) {
-            (Some(least), Some(middle)) => {
-                format!("{} drawn, tipping load at least {:.1} N (median {:.1} N)", count, least.0, middle.0)
-            }
+            (Some(least), Some(middle)) => format!(
+                "{count} drawn, tipping load at least {} (median {})",
+                load_text(least.0),
+                load_text(middle.0)
+            ),
             _ => String::new(),
         });
         Ok(ordered.into_iter().map(|(_, world)| world).collect())
@@ -130,6 +132,15 @@ impl Hardness<'_> {
         let body = &self.landing.surface().body;
         let load = ramp_load_n(self.factory, scene, body, p_w, &LoadRamp::default())?;
         Ok(load.unwrap_or(f64::INFINITY))
+    }
+}
+
+/// Formats a tipping load; an infinite one is beyond the ramp of [`WorldOrder::load_n`].
+fn load_text(newtons: f64) -> String {
+    if newtons.is_finite() {
+        format!("{newtons:.1} N")
+    } else {
+        format!("over {:.0} N", LoadRamp::default().most_n)
     }
 }
 

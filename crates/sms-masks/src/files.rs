@@ -52,8 +52,7 @@ impl FileMasks {
             let index = frame.index;
             let what =
                 format!("there are fewer masks than frames: the recording names none for frame {index}");
-            let cure =
-                "add `mask_path` to every frame, give a folder of label images, or use `--masks geometry`";
+            let cure = "add `mask_path` to every frame of transforms.json, or use `--masks geometry`";
             InputError::new(what, &frame.color_path, cure)
         })
     }

@@ -1,10 +1,10 @@
 //! Detection of objects missed by a source of masks.
 
-use crate::geometry::Clustered;
+use crate::geometry::{CLUSTER_STEPS, Clustered};
 use crate::names::unique;
 use crate::{GeometryConfig, MasksError};
 use rayon::prelude::*;
-use sms_core::{BACKGROUND, Cancel, LabelInfo, LabelMap, Labels, Progress};
+use sms_core::{BACKGROUND, Cancel, LabelInfo, LabelMap, Labels, Progress, counted};
 use sms_frames::Sequence;
 
 /// Largest share of a missed object that may have a label, and that may lie beside labelled surfaces or a wall.
@@ -27,6 +27,7 @@ pub fn add_unknown(
     cancel: &Cancel,
 ) -> Result<Labels, MasksError> {
     config.validate()?;
+    progress.begin("missed objects", CLUSTER_STEPS);
     let clustered = Clustered::new(sequence, config, progress, cancel)?;
     let explained = clustered.surfels_where(|p_w| {
         let (mut labelled, mut seen) = (0usize, 0usize);
@@ -55,6 +56,7 @@ pub fn add_unknown(
         })
         .collect();
     if !missed.contains(&true) {
+        progress.end("none");
         return Ok(labels.clone());
     }
     let seen = clustered.maps(sequence, config, cancel)?;
@@ -80,11 +82,13 @@ pub fn add_unknown(
             }
         }
     });
+    let added = ids.iter().flatten().count();
     for (count, id) in ids.into_iter().flatten().enumerate() {
         let taken: Vec<String> = labels.objects.iter().map(|o| o.name.clone()).collect();
         let name = unique(format!("unknown_{:02}", count + 1), &taken);
         labels.objects.push(LabelInfo { id, name, description: String::new() });
     }
+    progress.end(&counted(added, "object", "objects"));
     Ok(labels)
 }
 

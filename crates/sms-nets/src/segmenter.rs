@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sms_core::{
     BACKGROUND, Cancel, ColorImage, CoreError, InputError, LabelMap, Labels, MaskSource, Progress,
-    StageContext, Warnings,
+    StageContext, Warnings, counted,
 };
 use sms_frames::{Frame, ReadOptions, Sequence, recorded_colors};
 use sms_masks::{MasksError, Segmenter};
@@ -368,7 +368,7 @@ impl NetsMasks {
             maps.push(map);
             progress.update(index as u64 + 1, &format!("frame {index}"));
         }
-        progress.end(&format!("{} objects", found.len()));
+        progress.end(&counted(found.len(), "object", "objects"));
         for (found, seen) in found.iter().zip(last_seen) {
             let (code, message) = match seen {
                 Some(last) if last + 1 == sequence.len() => continue,

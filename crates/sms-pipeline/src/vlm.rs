@@ -105,17 +105,19 @@ pub(crate) fn cached_estimates(
     let cache = Cache::new(&run.root().join(REPLIES));
     let found = estimates(set, queries, views, &client, &cache, context.stage(&warnings, seed))?;
     let answers = &found.answers;
+    if mode == VlmMode::On {
+        // Before the warnings, which say that other values are used instead.
+        refuse_given_up(answers, &config)?;
+    }
     let mut metrics = metrics(answers, queries.len(), &config);
     metrics.set("vlm.seconds", began.elapsed().as_secs_f64());
     record(context, run, "vlm", &["vlm."], metrics, &warnings)?;
     context.message(summary(answers, queries.len(), &config));
-    if mode == VlmMode::On {
-        refuse_given_up(answers, &config)?;
-        if !answers.outcomes.is_empty() && answers.outcomes.iter().all(|o| o.answer().is_none()) {
-            let what = "the vision-language model answered about none of the objects";
-            let cure = "see the warnings above; or use --vlm auto, which falls back to the table or a prior";
-            return Err(InputError::new(what, config.url, cure).into());
-        }
+    let is_unanswered = !answers.outcomes.is_empty() && answers.outcomes.iter().all(|o| o.answer().is_none());
+    if mode == VlmMode::On && is_unanswered {
+        let what = "the vision-language model answered about none of the objects";
+        let cure = "see the warnings above; or use --vlm auto, which falls back to the table or a prior";
+        return Err(InputError::new(what, config.url, cure).into());
     }
     Ok(found.estimates)
 }

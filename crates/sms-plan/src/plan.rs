@@ -172,18 +172,19 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// "312 of 1500 actions are out of the robot's reach: …"; `None` if all are within reach.
+    /// Returns whether the striker cannot make more than half of the actions considered, which is also a warning.
+    pub fn is_mostly_refused(&self) -> bool {
+        2 * self.refused.iter().map(|r| r.count).sum::<usize>() > self.searched
+    }
+
+    /// "the striker cannot make 312 of 1500 actions: …"; `None` if it can make all.
     pub fn refused_text(&self) -> Option<String> {
         let count: usize = self.refused.iter().map(|r| r.count).sum();
         let list: Vec<String> =
             self.refused.iter().take(4).map(|r| format!("{} ({})", r.reason, r.count)).collect();
         let more = if self.refused.len() > 4 { ", …" } else { "" };
         (count > 0).then(|| {
-            format!(
-                "{count} of {} actions are out of the robot's reach: {}{more}",
-                self.searched,
-                list.join(", ")
-            )
+            format!("the striker cannot make {count} of {} actions: {}{more}", self.searched, list.join(", "))
         })
     }
 

@@ -17,7 +17,7 @@ use crate::{
     BatchOptimiser, Plan, PlanConfig, PlanError, PlanOutcome, Prediction, Reason, Refusal, Sensitivity,
     Strategy, Trial, TrialPhase,
 };
-use sms_core::{Cancel, InputError, NoProgress, StageContext, Warnings};
+use sms_core::{Cancel, InputError, NoProgress, StageContext, Warnings, counted, length_text, lengths_text};
 use sms_scene::Scene;
 use sms_sim::{BodyId, WorldFactory};
 use sms_task::{Action, MotionRecording, ResolvedTask, Rollout};
@@ -68,16 +68,16 @@ pub fn plan(
     };
     let mut planning = Planning::search(&session)?;
     let counter = &session.counter;
-    counter.end(&format!("best of {} shots: {:.1} mm", planning.evaluations, 1e3 * planning.found.best()));
+    counter.end(&format!("best of {} shots: {}", planning.evaluations, length_text(planning.found.best())));
     let chosen = planning.choose()?;
-    counter.end(&format!("{} strategies", chosen.len()));
+    counter.end(&counted(chosen.len(), "strategy", "strategies"));
     let forecast = planning.forecast(&chosen)?;
     let (searched, refused) = planning.considered();
     let predictions: Vec<Option<Prediction>> =
         forecast.iter().map(|row| Prediction::of(&outcomes(row), |v| task.is_success(v))).collect();
     let winner = &chosen[0];
     let predicted = predictions[0];
-    let on_average = |p: Prediction| format!("chosen shot: {:.1} mm on average", 1e3 * p.mean);
+    let on_average = |p: Prediction| format!("chosen shot: {} on average", length_text(p.mean));
     counter.end(&predicted.map(on_average).unwrap_or_default());
     let objective_q90 = predicted.map_or(winner.objective, |p| p.q90);
     for start in planning.found.starts.iter_mut().filter(|s| s.action == winner.action) {
@@ -94,7 +94,8 @@ pub fn plan(
             sensitivities = planning.sensitivities(winner, rollout, &forecast[0])?;
         }
         reasons = planning.reasons(&chosen, &strategies, rollout)?;
-        counter.end(&format!("{} reasons, {} sensitivities", reasons.len(), sensitivities.len()));
+        let found = counted(sensitivities.len(), "sensitivity", "sensitivities");
+        counter.end(&format!("{}, {found}", counted(reasons.len(), "reason", "reasons")));
     }
     let plan = Plan {
         task: task.kind().to_owned(),
@@ -360,26 +361,24 @@ fn warn(task: &ResolvedTask, plan: &Plan, warnings: &Warnings) {
             "plan",
             "no_good_shot",
             format!(
-                "no shot meets the task's success limit; the best one misses by {:.1} cm",
-                1e2 * plan.objective
+                "no shot meets the task's success limit; the best one misses by {}",
+                length_text(plan.objective)
             ),
             "move the goal, widen the task's bounds, or plan with more evaluations",
         );
     } else if !task.is_success(plan.objective_q90) {
+        let [scanned, q90] = lengths_text([plan.objective, plan.objective_q90]);
         warnings.add(
             "plan",
             "fragile_shot",
             format!(
-                "the chosen shot misses by {:.1} cm in the scanned world, but by {:.1} cm at the 90 % quantile over perturbed \
-                 worlds",
-                1e2 * plan.objective,
-                1e2 * plan.objective_q90
+                "the chosen shot misses by {scanned} in the scanned world, but by {q90} at the 90 % quantile over perturbed \
+                 worlds"
             ),
             "narrow the material intervals, or choose an easier goal",
         );
     }
-    let refused = total(&plan.refused);
-    if let Some(text) = plan.refused_text().filter(|_| 2 * refused > plan.searched) {
+    if let Some(text) = plan.refused_text().filter(|_| plan.is_mostly_refused()) {
         warnings.add(
             "plan",
             "out_of_reach",

@@ -5,7 +5,7 @@ use crate::html::{PHOTO_ID, rgb};
 use crate::input::ReportInput;
 use crate::name_text::{half_width, inside, lowest};
 use crate::photo::{RecordedView, crop, photo_address};
-use sms_core::{BACKGROUND, ColorImage, LabelMap, escape_xml};
+use sms_core::{BACKGROUND, ColorImage, LabelMap, counted, escape_xml};
 use sms_frames::resize_color;
 use std::fmt::Write;
 
@@ -65,7 +65,7 @@ pub(crate) fn photo_section(input: &ReportInput<'_>) -> String {
             "<figure><div class=\"labelled\"><img style=\"aspect-ratio:{w}/{h}\" data-copy=\"{PHOTO_ID}\" src=\"{BLANK}\" width=\"{w}\" height=\"{h}\" \
              alt=\"\">{}</div><figcaption>Recognised: {}</figcaption></figure>",
             labels_svg(&first.labels, &objects),
-            count_text(objects.len())
+            counted(objects.len(), "object", "objects")
         );
     }
     html.push_str("</div>");
@@ -76,10 +76,6 @@ pub(crate) fn photo_section(input: &ReportInput<'_>) -> String {
 
 /// A transparent picture of one pixel.
 const BLANK: &str = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7";
-
-fn count_text(count: usize) -> String {
-    if count == 1 { "1 object".to_owned() } else { format!("{count} objects") }
-}
 
 /// Draws the outline and the name of each object that the view shows, at the size of the label map.
 fn labels_svg(labels: &LabelMap, objects: &[Named<'_>]) -> String {

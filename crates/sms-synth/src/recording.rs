@@ -334,7 +334,7 @@ fn transforms(settings: &RecordingSettings, poses: &[DPose3]) -> Value {
         "pixel_center": 0.5,
         "world_up": [0.0, 0.0, 1.0],
         "world_is_aligned": true,
-        "camera_convention": "OpenGL camera axes (x right, y up, z backward), transform_matrix is camera-to-world, metres",
+        "camera_convention": "opengl",
         "frames": poses.iter().enumerate().map(frame).collect::<Vec<_>>(),
     })
 }

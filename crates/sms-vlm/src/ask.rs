@@ -13,6 +13,8 @@ use std::sync::{Mutex, PoisonError};
 
 /// The stage's name in warnings.
 pub(crate) const STAGE: &str = "vlm";
+/// Reason of a missing answer if only stored replies are used.
+const NOT_STORED: &str = "no reply is stored, and no requests are allowed";
 /// Number of consecutive failures after which the server is given up.
 const FAILURES_IN_A_ROW: usize = 3;
 
@@ -144,8 +146,7 @@ pub(crate) fn ask_all<T: Topic>(
         error: Mutex::new(None),
     };
     if client.config().cache_only {
-        let what = "its reply is not in the cache, and no requests are allowed";
-        pending.iter().for_each(|&i| session.put(i, Outcome::Fallback(what.to_owned())));
+        pending.iter().for_each(|&i| session.put(i, Outcome::Fallback(NOT_STORED.to_owned())));
     } else if let Some((&first, rest)) = pending.split_first() {
         // The first question finds out which features the server supports, and whether it answers at all.
         session.work(first);
@@ -313,19 +314,26 @@ fn opening<T: Topic>(q: &Question) -> Vec<Value> {
     ]
 }
 
-/// Warns about every object with missing values, once, with the reason.
+/// Warns about every object with missing values, once, with the reason. A reason of all objects is one warning.
 fn warn<T: Topic>(questions: &[Question], answers: &Answers<T::Answer>, warnings: &Warnings) {
     let all = || questions.iter().zip(&answers.outcomes);
-    let is_given_up = |outcome: &Outcome<T::Answer>| matches!((outcome, &answers.given_up), (Outcome::Fallback(what), Some(g)) if *what == g.what);
-    if let Some(given_up) = &answers.given_up {
+    let given_up = answers.given_up.as_ref();
+    let shared = [
+        given_up.map(|g| ("vlm_given_up", g.what.as_str(), g.cure.as_str())),
+        Some(("vlm_not_stored", NOT_STORED, "allow requests: leave `cache-only` and `vlm.cache_only` out")),
+    ];
+    let has_reason = |outcome: &Outcome<T::Answer>, reason: &str| match outcome {
+        Outcome::Fallback(what) => what == reason,
+        Outcome::Answered { .. } => false,
+    };
+    for (code, reason, cure) in shared.into_iter().flatten() {
         let without: Vec<&str> =
-            all().filter(|(_, o)| is_given_up(o)).map(|(q, _)| q.name.as_str()).collect();
-        warnings.add(
-            STAGE,
-            "vlm_given_up",
-            format!("{}; {} for {}", given_up.what, T::SUBSTITUTE, without.join(", ")),
-            given_up.cure.clone(),
-        );
+            all().filter(|(_, o)| has_reason(o, reason)).map(|(q, _)| q.name.as_str()).collect();
+        if !without.is_empty() {
+            let what = format!("{reason}; {} for {}", T::SUBSTITUTE, without.join(", "));
+            warnings.add(STAGE, code, what, cure);
+        }
     }
-    all().filter(|(_, o)| !is_given_up(o)).for_each(|(q, o)| T::warn(q, o, warnings));
+    let is_shared = |o: &Outcome<T::Answer>| shared.iter().flatten().any(|s| has_reason(o, s.1));
+    all().filter(|(_, o)| !is_shared(o)).for_each(|(q, o)| T::warn(q, o, warnings));
 }

@@ -3,7 +3,7 @@
 use super::{landing, objective_reference};
 use crate::cli;
 use sms_cli::front::Console;
-use sms_core::{Seed, judge_success, length_text};
+use sms_core::{Seed, counted, judge_success, length_text};
 use sms_pipeline::{PlanRequest, PlannedTask, Run};
 use sms_plan::Plan;
 
@@ -95,8 +95,10 @@ fn summary(plan: &Plan) -> Vec<String> {
     }
     let invalid =
         if plan.invalid > 0 { format!(", {} of them invalid", plan.invalid) } else { String::new() };
-    lines.extend(plan.refused_text().map(|text| format!("  {text}")));
-    lines.push(format!("  {} rollouts{invalid}", plan.evaluations));
+    // More than half are a warning, which was printed.
+    let refused = plan.refused_text().filter(|_| !plan.is_mostly_refused());
+    lines.extend(refused.map(|text| format!("  {text}")));
+    lines.push(format!("  {}{invalid}", counted(plan.evaluations, "rollout", "rollouts")));
     lines.extend(plan.failure_text().map(|text| format!("    invalid: {text}")));
     lines
 }

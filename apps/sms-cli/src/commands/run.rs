@@ -2,9 +2,9 @@
 
 use super::{execute, materialize, plan, report, scan, simulate};
 use crate::cli::{self, RunArguments};
-use sms_cli::front::Console;
+use sms_cli::front::{Console, note};
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, duration_text, length_text};
+use sms_core::{InputError, counted, duration_text, length_text};
 use sms_pipeline::{PlanRequest, Run};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -22,7 +22,10 @@ pub(crate) fn run(console: &Console, a: &RunArguments) -> anyhow::Result<()> {
         Ok(page) => page,
         Err(error) => {
             if !console.json && root.is_dir() {
-                eprintln!("finished stages are in {}; the same command goes on from there", root.display());
+                note(format_args!(
+                    "finished stages are in {}; the same command goes on from there",
+                    root.display()
+                ));
             }
             return Err(error);
         }
@@ -90,17 +93,17 @@ fn own_folder(console: &Console, recording: &Path) -> anyhow::Result<PathBuf> {
 fn summary(m: &Metrics) -> Vec<(&'static str, String)> {
     let mut lines = Vec::new();
     let length = |key: &str| m.number(key).map(length_text);
-    let count = |key: &str| m.number(key).unwrap_or(0.0);
-    let mut scan =
-        format!("{} frames, {} objects in the masks", count("scan.frames"), count("masks.objects"));
+    let count = |key: &str, one: &str, more: &str| counted(m.number(key).unwrap_or(0.0) as usize, one, more);
+    let frames = count("scan.frames", "frame", "frames");
+    let mut scan = format!("{frames}, {} in the masks", count("masks.objects", "object", "objects"));
     if let Some(psnr) = m.number("scan.holdout_psnr_db") {
         scan += &format!(", {psnr:.1} dB on held-out views");
     }
     lines.push(("scan", scan));
-    let mut scene = format!("{} bodies", count("entities.count"));
+    let mut scene = count("entities.count", "body", "bodies");
     if let Some(drift) = length("simulate.drift_m") {
-        scene +=
-            &format!("; at rest for {} s, they move at most {drift}", count("simulate.seconds_simulated"));
+        let seconds = m.number("simulate.seconds_simulated").unwrap_or(0.0);
+        scene += &format!("; at rest for {seconds} s, they move at most {drift}");
     }
     lines.push(("scene", scene));
     let is = |key: &str| m.get(key).and_then(serde_json::Value::as_bool);

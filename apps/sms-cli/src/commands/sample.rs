@@ -2,7 +2,7 @@
 
 use crate::cli::SampleArguments;
 use sms_cli::front::Console;
-use sms_core::{InputError, Seed, shell_argument};
+use sms_core::{InputError, Seed, counted, shell_argument};
 use sms_pipeline::write_task_files;
 use sms_synth::{BilliardsSettings, RecordingSettings, generate_billiards, write_recording};
 
@@ -17,8 +17,8 @@ pub(crate) fn run(console: &Console, a: &SampleArguments) -> anyhow::Result<()> 
     write_recording(&truth, &settings, &a.folder, context.progress.as_ref(), &context.cancel)?;
     write_task_files(&truth, &a.folder)?;
     console.say(format!(
-        "wrote a recording of {} objects to {}; next steps:",
-        truth.objects.len(),
+        "wrote a recording of {} to {}; next steps:",
+        counted(truth.objects.len(), "object", "objects"),
         a.folder.display()
     ));
     let folder = shell_argument(&a.folder);

@@ -2,8 +2,8 @@
 
 use crate::cli::ScanArguments;
 use crate::live::Watch;
-use sms_cli::front::{Console, PresetName, RefinePoses};
-use sms_core::{InputError, Seed, judge_depth_error, judge_psnr, length_text};
+use sms_cli::front::{Console, PresetName, RefinePoses, note};
+use sms_core::{InputError, Seed, counted, judge_depth_error, judge_psnr, length_text};
 use sms_pipeline::{Run, ScanOutcome, ScanRequest};
 
 pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
@@ -21,7 +21,7 @@ pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
     let run = Run::new(&a.out, &console.context);
     let outcome = run.scan_observed(&a.recording, &request, &mut observer)?;
     if let Some(problem) = observer.finish() {
-        eprintln!("warning: {problem}");
+        note(format_args!("warning: {problem}"));
     }
     summary(console, &run, &outcome)?;
     console.conclude(&run)
@@ -38,10 +38,10 @@ fn summary(console: &Console, run: &Run<'_>, outcome: &ScanOutcome) -> anyhow::R
     let m = run.metrics()?;
     let n = |key: &str| m.number(key);
     console.say(format!(
-        "scan: {} Gaussians from {} frames, {} objects",
+        "scan: {} Gaussians from {} frames, {}",
         n("scan.gaussians").unwrap_or(0.0),
         n("scan.frames").unwrap_or(0.0),
-        outcome.objects
+        counted(outcome.objects, "object", "objects")
     ));
     let (held_out, trained) = ("on held-out views", "on the views of the training");
     let figure = |name: &str| {

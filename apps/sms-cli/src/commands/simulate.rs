@@ -2,7 +2,7 @@
 
 use crate::cli::SimulateArguments;
 use sms_cli::front::Console;
-use sms_core::length_text;
+use sms_core::{counted, length_text};
 use sms_pipeline::{Run, is_at_rest};
 use sms_sim::RestingDrift;
 
@@ -28,8 +28,11 @@ fn verdict(drifts: &[RestingDrift]) -> String {
     let moving: Vec<&str> = drifts.iter().filter(|d| !is_at_rest(d)).map(|d| d.body.as_str()).collect();
     match (drifts.len(), moving.len()) {
         (0, _) => "simulate: no body can move".to_owned(),
-        (all, 0) => format!("simulate: at rest ({all} bodies)"),
-        (all, some) => format!("simulate: {some} of {all} bodies move: {}", moving.join(", ")),
+        (all, 0) => format!("simulate: at rest ({})", counted(all, "body", "bodies")),
+        (all, some) => {
+            let bodies = counted(all, "body", "bodies");
+            format!("simulate: {some} of {bodies} move: {}", moving.join(", "))
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::cli::{FamilyName, SynthArguments};
 use sms_cli::front::Console;
-use sms_core::{InputError, Seed};
+use sms_core::{InputError, Seed, counted};
 use sms_pipeline::write_task_files;
 use sms_synth::{
     BilliardsSettings, FIXED_SCENES, HelicalPath, Layout, ModelScene, RecordingSettings, SceneViews,
@@ -36,7 +36,12 @@ pub(crate) fn run(console: &Console, a: &SynthArguments) -> anyhow::Result<()> {
         &console.context.cancel,
     )?;
     write_task_files(truth, &a.folder)?;
-    console.say(format!("{}: {} objects in {}", truth.name, truth.objects.len(), a.folder.display()));
+    console.say(format!(
+        "{}: {} in {}",
+        truth.name,
+        counted(truth.objects.len(), "object", "objects"),
+        a.folder.display()
+    ));
     Ok(())
 }
 

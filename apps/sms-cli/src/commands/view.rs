@@ -2,7 +2,8 @@
 
 use super::report;
 use crate::cli::ReportArguments;
-use sms_cli::front::Console;
+use sms_cli::front::{Console, note};
+use sms_pipeline::Run;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -12,16 +13,14 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(3);
 
 pub(crate) fn run(console: &Console, a: &ReportArguments) -> anyhow::Result<()> {
-    let page = report::run(console, a)?;
-    let page = std::path::absolute(&page)?;
+    let run = Run::new(&a.run, &console.context);
+    let page = std::path::absolute(&report::write(console, &run)?)?;
     let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     if let Err(reason) = open(opener, &page) {
-        eprintln!(
-            "warning: no browser was opened ({reason}); open this page yourself:\n  {}",
-            file_url(&page)
-        );
+        let url = file_url(&page);
+        note(format_args!("warning: no browser was opened ({reason}); open this page yourself:\n  {url}"));
     }
-    Ok(())
+    console.conclude_without(&run, "view")
 }
 
 /// Opens a page with a program that starts the user's browser; returns why it could not.

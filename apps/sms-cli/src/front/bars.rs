@@ -1,5 +1,6 @@
 //! Progress on a terminal: one bar for the current part of the work.
 
+use super::console::note;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use sms_core::{Progress, RemainingTime, Status, duration_text, shown_units};
 use std::sync::Mutex;
@@ -70,7 +71,7 @@ impl Progress for Bars {
         if let Some(CurrentBar { bar, .. }) = current.take() {
             let line = format!("{:>22} {message} ({:.1} s)", bar.prefix(), bar.elapsed().as_secs_f64());
             bar.finish_and_clear();
-            eprintln!("{line}");
+            note(line);
         }
     }
 }

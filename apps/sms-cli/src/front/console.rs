@@ -17,6 +17,11 @@ const JSON_EVERY: Duration = Duration::from_millis(100);
 /// File of settings in the working folder, below those of `--settings`.
 const OWN_SETTINGS: &str = "sms.toml";
 
+/// Prints a line on standard error. A reader that has closed the pipe does not end the work.
+pub fn note(line: impl std::fmt::Display) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
 /// One invocation of a program: its context and its output options.
 pub struct Console {
     /// Progress, interruption and settings.
@@ -64,7 +69,7 @@ impl Console {
         };
         let own = Some(Path::new(OWN_SETTINGS)).filter(|path| path.is_file());
         if own.is_some() && !matches!(kind, ProgressKind::None | ProgressKind::Json) {
-            eprintln!("settings of {OWN_SETTINGS} are used");
+            note(format_args!("settings of {OWN_SETTINGS} are used"));
         }
         let files: Vec<&Path> = own.into_iter().chain(common.settings.as_deref()).collect();
         let settings = Settings::read_layers(&files, &common.assignments)?;
@@ -105,6 +110,21 @@ impl Console {
         }
     }
 
+    /// Ends the command `sms NAME` as [`Console::conclude`] does, without a proposal to run it again.
+    ///
+    /// # Errors
+    /// As [`Console::conclude`].
+    pub fn conclude_without(&self, run: &Run<'_>, name: &str) -> anyhow::Result<()> {
+        if self.part_of_a_flow || self.json {
+            return self.conclude(run);
+        }
+        let again = format!("sms {name} ");
+        if let Some(next) = run.status()?.next.iter().find(|next| !next.starts_with(&again)) {
+            self.say(format!("next: {next}"));
+        }
+        Ok(())
+    }
+
     /// Prints the command to run next.
     ///
     /// # Errors
@@ -138,9 +158,9 @@ impl EventSink for Printer {
     fn event(&self, event: &Event<'_>) {
         match event {
             Event::Message(text) if !self.json => drop(writeln!(std::io::stdout(), "{text}")),
-            Event::Alert(text) if !self.json => eprintln!("warning: {text}"),
+            Event::Alert(text) if !self.json => note(format_args!("warning: {text}")),
             Event::Warning(w) => {
-                eprintln!("{}", if self.one_line { warning_line(w) } else { warning_lines(w) });
+                note(if self.one_line { warning_line(w) } else { warning_lines(w) });
             }
             Event::Stage { name, is_cached: true } if !self.json => {
                 drop(writeln!(std::io::stdout(), "{name}: up to date"));

@@ -1,11 +1,12 @@
 //! Error messages and exit codes: 2 for bad input and a full disk, 130 for an interruption, 1 for any other failure.
 
+use super::note;
 use sms_core::{CoreError, ErrorKind, InputError, StageError};
 use std::process::ExitCode;
 
 /// Prints the error and returns its exit code. `E` is the program's own error type.
 pub fn report<E: StageError + Send + Sync + 'static>(error: &anyhow::Error) -> ExitCode {
-    eprintln!("error: {error:#}");
+    note(format_args!("error: {error:#}"));
     ExitCode::from(match kind::<E>(error) {
         ErrorKind::Input(_) | ErrorKind::DiskFull => 2,
         ErrorKind::Interrupted => 130,

@@ -30,5 +30,5 @@ mod values;
 mod warning_text;
 
 pub use arguments::{Common, ProgressKind};
-pub use console::Console;
+pub use console::{Console, note};
 pub use values::{EngineName, PathName, PresetName, RefinePoses};

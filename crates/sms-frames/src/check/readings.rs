@@ -227,9 +227,11 @@ fn convention_fault(
         what.push(format!("declared axes are {} but the data fits {name}", axes_name(declared.0)));
         let value = name.to_lowercase();
         cure.push(if in_file {
-            format!("set \"camera_convention\": \"{value}\" in transforms.json (or the read option axes = \"{value}\")")
+            format!(
+                "set \"camera_convention\": \"{value}\" in transforms.json (or `--set read.axes={value}`)"
+            )
         } else {
-            format!("set the read option axes = \"{value}\"")
+            format!("use `--set read.axes={value}`")
         });
     }
     if best.1 != declared.1 {
@@ -239,7 +241,7 @@ fn convention_fault(
         cure.push(if in_file {
             format!("invert the poses, or set \"pose_convention\": \"{value}\" in transforms.json")
         } else {
-            format!("invert the poses, or set the read option poses = \"{value}\"")
+            format!("invert the poses, or use `--set read.poses={value}`")
         });
     }
     Finding {
@@ -413,7 +415,10 @@ fn judge_pixel_center(data: &CheckData<'_>, report: &mut CheckReport) {
                 short(declared),
                 100.0 * fit.gain
             ),
-            cure: format!("set \"pixel_center\": {} in transforms.json or in the read options", short(other)),
+            cure: format!(
+                "set \"pixel_center\": {0} in transforms.json, or use `--set read.pixel_center={0}`",
+                short(other)
+            ),
         });
     }
 }

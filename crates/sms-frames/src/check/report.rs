@@ -2,6 +2,7 @@
 
 use crate::{Axes, Lens, PoseDirection, RecordingFormat};
 use serde::Serialize;
+use sms_core::counted;
 use sms_core::metrics::Metrics;
 use std::path::PathBuf;
 
@@ -175,9 +176,9 @@ impl std::fmt::Display for CheckReport {
             match overlap {
                 Some(o) => writeln!(
                     out,
-                    "  overlap {name}   {:.2} mm median over {} pairs, {:.0} % of samples met",
+                    "  overlap {name}   {:.2} mm median over {}, {:.0} % of samples met",
                     1e3 * o.median_m,
-                    o.pairs,
+                    counted(o.pairs, "pair", "pairs"),
                     100.0 * o.share
                 )?,
                 None => writeln!(out, "  overlap {name}   not measurable")?,
@@ -208,7 +209,13 @@ impl std::fmt::Display for CheckReport {
                 "  pixel centre      {} declared; {}",
                 short(self.pixel_center),
                 if fit.significant {
-                    format!("{} fits better by {:.1} %", short(fit.better), 100.0 * fit.gain)
+                    let other = if fit.better < 0.25 { 0.5 } else { 0.0 };
+                    format!(
+                        "{} fits better than {} by {:.1} %",
+                        short(fit.better),
+                        short(other),
+                        100.0 * fit.gain
+                    )
                 } else {
                     format!("the data does not distinguish 0 from 0.5 (difference {:.2} %)", 100.0 * fit.gain)
                 }

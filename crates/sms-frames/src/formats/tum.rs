@@ -14,6 +14,9 @@ use rayon::prelude::*;
 use sms_core::InputError;
 use std::path::{Path, PathBuf};
 
+/// Resolution of the times, seconds: they have six decimals, and a difference of two is rounded.
+const TIME_RESOLUTION_S: f64 = 1e-6;
+
 struct Calibration {
     /// fx, fy, cx, cy of a 640 × 480 image unless read from a file.
     intrinsics: [f64; 4],
@@ -93,6 +96,7 @@ fn read_trajectory(path: &Path) -> Result<Vec<(f64, DPose3)>, FramesError> {
 fn associate(a: &[(f64, String)], b: &[(f64, String)], max_gap: f64) -> Vec<(usize, usize)> {
     let mut candidates: Vec<(f64, usize, usize)> = Vec::new();
     for (i, (t, _)) in a.iter().enumerate() {
+        let max_gap = max_gap + TIME_RESOLUTION_S;
         let from = b.partition_point(|(s, _)| *s < t - max_gap);
         for (j, (s, _)) in b.iter().enumerate().skip(from).take_while(|(_, (s, _))| *s <= t + max_gap) {
             candidates.push(((s - t).abs(), i, j));
@@ -120,7 +124,7 @@ fn interpolate(trajectory: &[(f64, DPose3)], time: f64, max_gap: f64) -> Option<
         return Some(*b);
     }
     let (t0, a) = &trajectory[after.checked_sub(1)?];
-    if t1 - t0 > max_gap {
+    if t1 - t0 > max_gap + TIME_RESOLUTION_S {
         return None;
     }
     let s = (time - t0) / (t1 - t0);
@@ -191,21 +195,27 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
             pairs.len(),
             trajectory.len()
         );
-        let cure =
-            "check that the three files use the same clock, or raise max_pair_gap_s and max_pose_gap_s";
+        let cure = "check that the three files use the same clock, or raise `read.max_pair_gap_s` and \
+                    `read.max_pose_gap_s` (--set)";
         return Err(InputError::new(what, &trajectory_path, cure).into());
     };
-    let dropped = colors.len() - posed.len();
-    if dropped > 0 {
-        notices.push(Notice {
-            code: "frames_without_partner",
-            message: format!(
-                "{dropped} of {} colour images have no depth image within {} s or no pose there",
-                colors.len(),
-                options.max_pair_gap_s
-            ),
-            cure: "raise max_pair_gap_s or max_pose_gap_s to use more of them".to_owned(),
-        });
+    let images = colors.len();
+    for (dropped, lack, key, limit_s) in [
+        (images - pairs.len(), "no depth image", "max_pair_gap_s", options.max_pair_gap_s),
+        (
+            pairs.len() - posed.len(),
+            "no pose: the poses around them are not",
+            "max_pose_gap_s",
+            options.max_pose_gap_s,
+        ),
+    ] {
+        if dropped > 0 {
+            notices.push(Notice {
+                code: "frames_without_partner",
+                message: format!("{dropped} of {images} colour images have {lack} within {limit_s} s"),
+                cure: format!("to use more of them, raise the limit: `--set read.{key}={}`", 2.0 * limit_s),
+            });
+        }
     }
 
     let axes = options.axes.unwrap_or(Axes::Opencv);
@@ -218,8 +228,8 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
             let size = color_size(&color_path)?;
             let depth = depth_size(&depth_path)?;
             if depth != size && !options.depth_same_field_of_view {
-                let cure = "register depth to colour, or set depth_same_field_of_view if both show the same field \
-                            of view";
+                let cure = "register depth to colour, or use `--set read.depth_same_field_of_view=true` if both \
+                            show the same field of view";
                 return Err(not_registered(depth, size, &depth_path, cure).into());
             }
             if source.is_none() && size != (640, 480) {
@@ -299,6 +309,9 @@ mod tests {
         // 0.108 is nearest to 0.105, so 0.1 is paired with 0.12; nothing is within reach of 0.3.
         assert_eq!(associate(&list(&[0.1, 0.108, 0.3]), &list(&[0.105, 0.12]), 0.02), [(0, 1), (1, 0)]);
         assert_eq!(associate(&list(&[0.1, 0.2]), &list(&[0.2001, 0.0999]), 0.0), []);
+        // The limit is included, although the difference of these times is more than 0.02 by rounding.
+        let pair = (list(&[1_305_031_102.008]), list(&[1_305_031_102.028]));
+        assert_eq!(associate(&pair.0, &pair.1, 0.02), [(0, 0)]);
     }
 
     #[test]
@@ -313,5 +326,10 @@ mod tests {
             interpolate(&trajectory, -0.1, 0.2).is_none() && interpolate(&trajectory, 6.0, 0.2).is_none()
         );
         assert!(interpolate(&trajectory, 5.0, 0.2).is_some(), "exactly at a pose");
+        // Poses at 10 Hz: neighbours differ by 0.1 s and the rounding of the clock's time.
+        let start = 1_305_031_102.175;
+        let slow: Vec<_> = (0..100).map(|i| (start + 0.1 * f64::from(i), at(0.0, 0.0))).collect();
+        let middles = slow.iter().map(|(t, _)| t + 0.05).take(99);
+        assert!(middles.into_iter().all(|t| interpolate(&slow, t, 0.1).is_some()));
     }
 }

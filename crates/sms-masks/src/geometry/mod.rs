@@ -27,7 +27,7 @@ pub use config::GeometryConfig;
 use crate::{MasksError, STAGE, Segmenter};
 use glamx::DVec3;
 use rayon::prelude::*;
-use sms_core::{Cancel, LabelInfo, LabelMap, Labels, MaskSource, Progress, StageContext};
+use sms_core::{Cancel, LabelInfo, LabelMap, Labels, MaskSource, Progress, StageContext, counted};
 use sms_frames::Sequence;
 
 /// Objects from geometry, without a network: the default segmentation.
@@ -63,8 +63,11 @@ pub(crate) struct Clustered {
     oversize_m: Vec<f64>,
 }
 
+/// Number of steps of [`Clustered::new`] and of the label maps made from it.
+pub(crate) const CLUSTER_STEPS: u64 = 4;
+
 impl Clustered {
-    /// Finds the objects of a sequence.
+    /// Finds the objects of a sequence, in [`CLUSTER_STEPS`] steps of the current part of the work.
     pub(crate) fn new(
         sequence: &Sequence,
         config: &GeometryConfig,
@@ -72,7 +75,6 @@ impl Clustered {
         cancel: &Cancel,
     ) -> Result<Self, MasksError> {
         config.validate()?;
-        progress.begin("masks from geometry", 4);
         let (surfels, graph) = fuse::fuse(sequence, config, cancel)?;
         progress.update(1, &format!("{} surface points", surfels.len()));
         let (is_static, assembly_of, planes) =
@@ -81,7 +83,7 @@ impl Clustered {
         let clusters =
             cluster::clusters(&surfels, &graph, &is_static, &assembly_of, &planes, sequence, config, cancel)?;
         cancel.check()?;
-        progress.update(3, &format!("{} objects", clusters.len()));
+        progress.update(3, &counted(clusters.len(), "object", "objects"));
         let oversize_m = planes.iter().filter_map(|p| p.free_length_m).collect();
         Ok(Self { surfels, graph, is_static, clusters, oversize_m })
     }
@@ -116,6 +118,7 @@ impl Clustered {
 impl Segmenter for GeometryMasks {
     fn segment(&self, sequence: &Sequence, context: StageContext<'_>) -> Result<Labels, MasksError> {
         let StageContext { progress, cancel, warnings, .. } = context;
+        progress.begin("masks from geometry", CLUSTER_STEPS);
         let clustered = Clustered::new(sequence, &self.config, progress, cancel)?;
         let maps = clustered.maps(sequence, &self.config, cancel)?;
         let count = clustered.clusters.len();
@@ -145,7 +148,7 @@ impl Segmenter for GeometryMasks {
             name: format!("object_{id:02}"),
             description: String::new(),
         };
-        progress.end(&format!("{count} objects"));
+        progress.end(&counted(count, "object", "objects"));
         Ok(Labels { maps, objects: (1..=count).map(object).collect(), source: MaskSource::Geometry })
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::Error;
 use sms_core::metrics::Metrics;
-use sms_core::{Labels, StageContext};
+use sms_core::{Labels, StageContext, counted};
 use sms_frames::Sequence;
 use sms_masks::{Completed, GeometryConfig, Segmenter, complete};
 
@@ -49,7 +49,8 @@ impl ObjectMasks {
 
     /// Returns one line with the number of objects, their source and the corrections.
     pub fn summary(&self, source: &str) -> String {
-        let mut line = format!("masks: {} objects from {source}", self.labels.objects.len());
+        let mut line =
+            format!("masks: {} from {source}", counted(self.labels.objects.len(), "object", "objects"));
         if let Some(unknown @ 1..) = self.completed.unknown {
             line += &format!(", {unknown} of them unknown to it (masks.add_unknown)");
         }

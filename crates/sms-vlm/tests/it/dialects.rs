@@ -431,7 +431,7 @@ fn replies_are_stored_and_a_damaged_one_is_asked_for_again() {
     let answers = only.answers.as_ref().unwrap();
     assert_eq!((only.requests.len(), answers.cached(), answers.answered()), (3, 2, 2));
     let codes: Vec<&str> = only.warnings.iter().map(|w| w.code.as_str()).collect();
-    assert_eq!(codes, ["vlm_cache_damaged", "vlm_fallback"]);
+    assert_eq!(codes, ["vlm_cache_damaged", "vlm_not_stored"]);
 
     setup.config.cache_only = false;
     let repaired = setup.ask(3);

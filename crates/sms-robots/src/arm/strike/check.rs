@@ -223,20 +223,18 @@ fn distances(
                 };
                 return CheckItem { kind, passed: known, margin: None, detail };
             };
-            let near = if c.distance_m > enough { "stays more than" } else { "comes within" };
-            let of = if c.distance_m > enough { "away from" } else { "of" };
+            // The moment of a distance beyond `enough` is not known: it was not measured any closer.
+            let how = if c.distance_m > enough {
+                format!("stays more than {:.1} mm away from {}", 1e3 * enough, c.other)
+            } else {
+                let (mm, phase) = (1e3 * c.distance_m, phase.name());
+                format!("comes within {mm:.1} mm of {} in the {phase} at {at_s:.2} s", c.other)
+            };
             CheckItem {
                 kind,
                 passed: c.distance_m >= clearance_m,
                 margin: Some(c.distance_m - clearance_m),
-                detail: format!(
-                    "{} {near} {:.1} mm {of} {} in the {} at {at_s:.2} s; at least {:.1} mm are required",
-                    c.link,
-                    1e3 * c.distance_m.min(enough),
-                    c.other,
-                    phase.name(),
-                    1e3 * clearance_m
-                ),
+                detail: format!("{} {how}; at least {:.1} mm are required", c.link, 1e3 * clearance_m),
             }
         })
         .collect()
