@@ -314,26 +314,42 @@ fn opening<T: Topic>(q: &Question) -> Vec<Value> {
     ]
 }
 
+/// A reason of missing answers that does not depend on the object.
+struct SharedReason<'a> {
+    code: &'static str,
+    what: &'a str,
+    cure: &'a str,
+}
+
+impl SharedReason<'_> {
+    fn is_of<A>(&self, outcome: &Outcome<A>) -> bool {
+        match outcome {
+            Outcome::Fallback(what) => what == self.what,
+            Outcome::Answered { .. } => false,
+        }
+    }
+}
+
 /// Warns about every object with missing values, once, with the reason. A reason of all objects is one warning.
 fn warn<T: Topic>(questions: &[Question], answers: &Answers<T::Answer>, warnings: &Warnings) {
     let all = || questions.iter().zip(&answers.outcomes);
     let given_up = answers.given_up.as_ref();
     let shared = [
-        given_up.map(|g| ("vlm_given_up", g.what.as_str(), g.cure.as_str())),
-        Some(("vlm_not_stored", NOT_STORED, "allow requests: leave `cache-only` and `vlm.cache_only` out")),
+        given_up.map(|g| SharedReason { code: "vlm_given_up", what: &g.what, cure: &g.cure }),
+        Some(SharedReason {
+            code: "vlm_not_stored",
+            what: NOT_STORED,
+            cure: "allow requests: leave `cache-only` and `vlm.cache_only` out",
+        }),
     ];
-    let has_reason = |outcome: &Outcome<T::Answer>, reason: &str| match outcome {
-        Outcome::Fallback(what) => what == reason,
-        Outcome::Answered { .. } => false,
-    };
-    for (code, reason, cure) in shared.into_iter().flatten() {
+    for reason in shared.iter().flatten() {
         let without: Vec<&str> =
-            all().filter(|(_, o)| has_reason(o, reason)).map(|(q, _)| q.name.as_str()).collect();
+            all().filter(|(_, o)| reason.is_of(o)).map(|(q, _)| q.name.as_str()).collect();
         if !without.is_empty() {
-            let what = format!("{reason}; {} for {}", T::SUBSTITUTE, without.join(", "));
-            warnings.add(STAGE, code, what, cure);
+            let what = format!("{}; {} for {}", reason.what, T::SUBSTITUTE, without.join(", "));
+            warnings.add(STAGE, reason.code, what, reason.cure);
         }
     }
-    let is_shared = |o: &Outcome<T::Answer>| shared.iter().flatten().any(|s| has_reason(o, s.1));
+    let is_shared = |o: &Outcome<T::Answer>| shared.iter().flatten().any(|reason| reason.is_of(o));
     all().filter(|(_, o)| !is_shared(o)).for_each(|(q, o)| T::warn(q, o, warnings));
 }
