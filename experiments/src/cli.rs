@@ -7,6 +7,7 @@ use crate::commands::masks::MaskStudyArguments;
 use crate::commands::materialize::MaterializeStudyArguments;
 use crate::commands::merge::MergeArguments;
 use crate::commands::optimisers::OptimisersArguments;
+use crate::commands::orbits::OrbitsArguments;
 use crate::commands::physics::PhysicsArguments;
 use crate::commands::plan::PlanSpeedArguments;
 use crate::commands::robust::RobustArguments;
@@ -41,6 +42,8 @@ pub(crate) enum Experiment {
     /// Compare search methods at equal numbers of simulated shots. The planner is given the true geometry and materials of
     /// generated scenes: this measures search, not reconstruction.
     Optimisers(OptimisersArguments),
+    /// Refine the poses of generated orbits with faults of trackers and cameras: errors of scale, and of a box's extents.
+    Orbits(OrbitsArguments),
     /// Compare nominal with robust planning at equal cost, in true worlds with other materials than the planner was given
     /// (`--materials noisy`) and slightly displaced bodies. True geometry of generated scenes; by default the striker is a
     /// kinematic finger, and the engine the planner's.

@@ -34,6 +34,7 @@ mod materialize;
 mod models;
 mod optimisers;
 mod options;
+mod orbits;
 mod panels;
 mod plan_scenes;
 mod plan_speed;
@@ -85,6 +86,10 @@ pub use materialize::{
 };
 pub use optimisers::{Entrant, OptimiserBench, optimiser_table, run_optimisers};
 pub use options::BenchOptions;
+pub use orbits::{
+    BoxErrors, Orbit, OrbitKind, OrbitRow, PoseFault, box_errors, center_scale, orbit_metrics, orbit_table,
+    refine_orbit,
+};
 pub use panels::write_panel;
 pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS};
 pub use plan_speed::run_plan_speed;

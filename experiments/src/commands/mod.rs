@@ -8,6 +8,7 @@ pub(crate) mod masks;
 pub(crate) mod materialize;
 pub(crate) mod merge;
 pub(crate) mod optimisers;
+pub(crate) mod orbits;
 pub(crate) mod physics;
 pub(crate) mod plan;
 pub(crate) mod robust;
