@@ -85,10 +85,12 @@ pub fn read_toml_as<T: DeserializeOwned>(path: &Path, what: &str) -> Result<T, C
     })?;
     toml::from_str(&text).map_err(|e| {
         let reason = e.to_string();
-        let cure = match () {
-            () if reason.contains("missing field") => "add the missing key",
-            () if reason.contains("unknown field") => "use one of the keys listed above",
-            () => "correct the line named above",
+        let cure = if reason.contains("missing field") {
+            "add the missing key"
+        } else if reason.contains("unknown field") {
+            "use one of the keys listed above"
+        } else {
+            "correct the line named above"
         };
         InputError::new(format!("this {what} has an error"), path, cure)
             .because(format!("\n{}", reason.trim_end()))

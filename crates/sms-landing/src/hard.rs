@@ -135,7 +135,7 @@ impl Hardness<'_> {
     }
 }
 
-/// Formats a tipping load; an infinite one is beyond the ramp of [`WorldOrder::load_n`].
+/// Formats a tipping load; an infinite one is beyond the ramp of [`Hardness::load_n`].
 fn load_text(newtons: f64) -> String {
     if newtons.is_finite() {
         format!("{newtons:.1} N")

@@ -1,6 +1,7 @@
 //! The options of a run's commands, kept so that printed commands repeat them.
 
 use crate::{Context, Error};
+use serde::de::DeserializeOwned;
 use sms_core::{RunFolder, atomic, shell_word};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -40,8 +41,13 @@ pub(crate) fn record_task(run: &RunFolder, file: &Path) -> Result<(), Error> {
 
 /// Returns the task file of the last plan that was asked for.
 pub(crate) fn recorded_task(run: &RunFolder) -> Option<PathBuf> {
+    recorded_setting(run, "task", "file")
+}
+
+/// Returns a setting from `run.toml`; `None` if it is absent or of another type.
+pub(crate) fn recorded_setting<T: DeserializeOwned>(run: &RunFolder, section: &str, key: &str) -> Option<T> {
     let table: toml::Table = atomic::read_toml(&run.root().join("run.toml")).ok()?;
-    table.get("task")?.get("file")?.as_str().map(PathBuf::from)
+    table.get(section)?.get(key)?.clone().try_into().ok()
 }
 
 /// Returns the recorded options of a command as arguments for a shell, each after a space.

@@ -1,8 +1,8 @@
 //! The stages of a run in the order of the data flow, and the commands that make them.
 
-use crate::command_options::{recorded_options, recorded_task};
+use crate::command_options::{recorded_options, recorded_setting, recorded_task};
 use serde::de::DeserializeOwned;
-use sms_core::{RunFolder, atomic, shell_argument};
+use sms_core::{RunFolder, shell_argument};
 use std::path::Path;
 
 /// The stages in the order of the data flow, with the metrics that each writes.
@@ -68,8 +68,7 @@ fn scan_command(run: &RunFolder) -> String {
 
 /// Returns an option of the scan from `run.toml`; `None` if it is absent or of another type.
 pub(crate) fn scan_option<T: DeserializeOwned>(run: &RunFolder, key: &str) -> Option<T> {
-    let table: toml::Table = atomic::read_toml(&run.root().join("run.toml")).ok()?;
-    table.get("run")?.get(key)?.clone().try_into().ok()
+    recorded_setting(run, "run", key)
 }
 
 #[cfg(test)]

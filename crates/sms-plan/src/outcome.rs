@@ -1,6 +1,6 @@
 //! Output of the planning stage.
 
-use crate::{Plan, Trial, write_trials};
+use crate::{Plan, Refusal, Trial, write_trials};
 use sms_core::metrics::Metrics;
 use sms_core::{CoreError, atomic};
 use sms_task::json;
@@ -26,7 +26,7 @@ impl PlanOutcome {
             .set("plan.objective_q90", self.plan.objective_q90)
             .set("plan.objective_unit", self.plan.objective_unit.clone())
             .set("plan.invalid", self.plan.invalid)
-            .set("plan.refused", self.plan.refused.iter().map(|r| r.count).sum::<usize>())
+            .set("plan.refused", Refusal::total(&self.plan.refused))
             .set("plan.striker", self.plan.striker.clone())
             .set("plan.strategies", self.plan.strategies.len());
         if let Some(p) = &self.plan.predicted {

@@ -51,6 +51,13 @@ pub struct Refusal {
     pub count: usize,
 }
 
+impl Refusal {
+    /// Returns the number of strikes of all reasons.
+    pub(crate) fn total(refusals: &[Self]) -> usize {
+        refusals.iter().map(|r| r.count).sum()
+    }
+}
+
 /// A reason for invalid rollouts.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct InvalidRollout {
@@ -174,12 +181,12 @@ pub struct Plan {
 impl Plan {
     /// Returns whether the striker cannot make more than half of the actions considered, which is also a warning.
     pub fn is_mostly_refused(&self) -> bool {
-        2 * self.refused.iter().map(|r| r.count).sum::<usize>() > self.searched
+        2 * Refusal::total(&self.refused) > self.searched
     }
 
     /// "the striker cannot make 312 of 1500 actions: …"; `None` if it can make all.
     pub fn refused_text(&self) -> Option<String> {
-        let count: usize = self.refused.iter().map(|r| r.count).sum();
+        let count = Refusal::total(&self.refused);
         let list: Vec<String> =
             self.refused.iter().take(4).map(|r| format!("{} ({})", r.reason, r.count)).collect();
         let more = if self.refused.len() > 4 { ", …" } else { "" };

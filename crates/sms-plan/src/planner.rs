@@ -197,8 +197,8 @@ impl<'a> Planning<'a> {
         }
         let (session, evaluations) = (self.session, self.evaluations);
         let refused = session.counter.refusals(&self.struck);
-        let considered = evaluations + total(&refused) - self.struck.values().sum::<usize>();
-        if total(&refused) == considered {
+        let considered = evaluations + Refusal::total(&refused) - self.struck.values().sum::<usize>();
+        if Refusal::total(&refused) == considered {
             return Err(PlanError::OutOfReach(out_of_reach(session.task, &refused, considered)));
         }
         Err(PlanError::Nothing { engine: session.factory.engine().to_owned(), evaluations })
@@ -219,7 +219,11 @@ impl<'a> Planning<'a> {
         let chosen = choice.choose(&mut self.found, &worlds, session.seed.derive("robust scan"))?;
         if chosen.is_empty() {
             let refused = session.counter.refusals(&self.struck);
-            return Err(PlanError::OutOfReach(out_of_reach(session.task, &refused, total(&refused))));
+            return Err(PlanError::OutOfReach(out_of_reach(
+                session.task,
+                &refused,
+                Refusal::total(&refused),
+            )));
         }
         Ok(chosen)
     }
@@ -249,7 +253,7 @@ impl<'a> Planning<'a> {
         let scanned = self.found.trials.iter().filter(is_scan).count();
         let refused = self.session.counter.refusals(&self.struck);
         let struck = self.struck.values().sum::<usize>();
-        (self.evaluations + scanned + total(&refused) - struck, refused)
+        (self.evaluations + scanned + Refusal::total(&refused) - struck, refused)
     }
 
     /// Records the motion of an action in the nominal world. Returns `None` if the rollout is not valid to its end,
@@ -336,10 +340,6 @@ pub fn search_nominal(
 }
 
 /// Number of refused strikes.
-fn total(refusals: &[Refusal]) -> usize {
-    refusals.iter().map(|r| r.count).sum()
-}
-
 /// The error for a robot that cannot carry out any strike.
 fn out_of_reach(task: &ResolvedTask, refusals: &[Refusal], considered: usize) -> InputError {
     let list: Vec<String> = refusals.iter().map(|r| format!("{} ({})", r.reason, r.count)).collect();

@@ -3,7 +3,7 @@
 use crate::input::ReportInput;
 use crate::landing::{predicted_card, verdict};
 use sms_core::{
-    escape_xml, is_at_rest, judge_depth_error, judge_psnr, judge_success, length_text, lengths_text,
+    counted, escape_xml, is_at_rest, judge_depth_error, judge_psnr, judge_success, length_text, lengths_text,
 };
 use sms_scene::{BodyKind, BodyShape};
 use std::fmt::Write;
@@ -65,8 +65,7 @@ fn result(input: &ReportInput<'_>) -> (&'static str, String, Option<&'static str
         };
     };
     let count = scene.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic).count();
-    let bodies = if count == 1 { "1 object can".to_owned() } else { format!("{count} objects can") };
-    let text = format!("{bodies} be simulated");
+    let text = format!("{} can be simulated", counted(count, "object", "objects"));
     let drift = input.metrics.number("simulate.drift_m").zip(input.metrics.number("simulate.turn_rad"));
     match drift {
         None => ("", format!("{text}."), Some("simulate RUN")),

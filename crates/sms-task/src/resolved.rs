@@ -4,9 +4,7 @@ use crate::billiards::{StrikeSettings, named};
 use crate::body::{TaskBody, bodies_of, find, horizontal, task_body};
 use crate::place::{check_near, check_reachable};
 use crate::terms::TermTracker;
-use crate::{
-    Action, ActionForm, Billiards, Parameter, Region, RobotArm, Strike, Task, TaskError, Term, TermBodies,
-};
+use crate::{Action, ActionForm, Billiards, Parameter, Region, RobotArm, Strike, Task, TaskError, Term};
 use glamx::{DPose3, DVec2, DVec3};
 use sms_core::{InputError, wrapped_angle};
 use sms_scene::{Body, BodyKind, BodyShape, Scene};
@@ -90,10 +88,8 @@ fn resolve_strike(settings: &Strike, scene: &Scene) -> Result<ResolvedTask, Task
     let mut named_bodies = vec![cue.index];
     let mut found = Vec::new();
     for (i, term) in settings.terms.iter().enumerate() {
-        let body = match term.bodies() {
-            TermBodies::One(selector) => Some(find(path, &format!("terms[{i}].body"), selector, scene)?),
-            TermBodies::Others(_) => None,
-        };
+        let find_term = |selector| find(path, &format!("terms[{i}].body"), selector, scene);
+        let body = term.bodies().selector().map(find_term).transpose()?;
         named_bodies.extend(body.as_ref().map(|b| b.index));
         found.push(body);
     }

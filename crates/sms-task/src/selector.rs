@@ -127,11 +127,9 @@ impl Selector {
 /// Returns whether a colour word names the colour of a body: no other word is nearer. Shading turns white into gray, so
 /// that words without hue count as one.
 fn is_called(color: [u8; 3], word: &str) -> bool {
-    let hue = |word: &str| match word.to_ascii_lowercase().as_str() {
-        "white" | "gray" | "black" => "none".to_owned(),
-        other => other.to_owned(),
-    };
-    hue(nearest_word(color)) == hue(word)
+    let has_no_hue = |word: &str| ["white", "gray", "black"].iter().any(|w| w.eq_ignore_ascii_case(word));
+    let nearest = nearest_word(color);
+    nearest.eq_ignore_ascii_case(word) || (has_no_hue(nearest) && has_no_hue(word))
 }
 
 /// Returns the colour word that is nearest to a colour.

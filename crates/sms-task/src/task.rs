@@ -1,6 +1,6 @@
 //! Task files, and actions as points in a box of named parameters.
 
-use crate::{Billiards, Selector, Strike, TermBodies};
+use crate::{Billiards, Selector, Strike};
 use serde::{Deserialize, Serialize};
 use sms_core::{CoreError, InputError, atomic};
 use std::path::Path;
@@ -86,10 +86,7 @@ impl Task {
         match self {
             Self::Billiards(task) => vec![&task.cue, &task.target],
             Self::Strike(task) => {
-                let of_terms = task.terms.iter().filter_map(|term| match term.bodies() {
-                    TermBodies::One(selector) => Some(selector),
-                    TermBodies::Others(_) => None,
-                });
+                let of_terms = task.terms.iter().filter_map(|term| term.bodies().selector());
                 std::iter::once(&task.strike).chain(of_terms).collect()
             }
         }

@@ -108,6 +108,16 @@ pub enum TermBodies {
     One(Selector),
 }
 
+impl TermBodies {
+    /// Returns the selector of a single body.
+    pub fn selector(&self) -> Option<&Selector> {
+        match self {
+            Self::One(selector) => Some(selector),
+            Self::Others(_) => None,
+        }
+    }
+}
+
 /// The word `"others"`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -232,9 +242,7 @@ impl Term {
             Err(InputError::new(what, path, "correct this term"))
         };
         let (bodies, weight, [from, to]) = self.common();
-        if let TermBodies::One(selector) = bodies
-            && let Some(why) = selector.fault()
-        {
+        if let Some(why) = bodies.selector().and_then(Selector::fault) {
             return fault(&format!("`body`: {why}"));
         }
         if !(weight > 0.0 && weight <= 1e6) {

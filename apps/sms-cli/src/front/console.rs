@@ -103,11 +103,7 @@ impl Console {
     /// # Errors
     /// If they cannot be read.
     pub fn conclude(&self, run: &Run<'_>) -> anyhow::Result<()> {
-        match self.part_of_a_flow {
-            true => Ok(()),
-            false if self.json => self.print_json(&run.metrics()?),
-            false => self.say_next(run),
-        }
+        self.end(run, None)
     }
 
     /// Ends the command `sms NAME` as [`Console::conclude`] does, without a proposal to run it again.
@@ -115,14 +111,15 @@ impl Console {
     /// # Errors
     /// As [`Console::conclude`].
     pub fn conclude_without(&self, run: &Run<'_>, name: &str) -> anyhow::Result<()> {
-        if self.part_of_a_flow || self.json {
-            return self.conclude(run);
+        self.end(run, Some(name))
+    }
+
+    fn end(&self, run: &Run<'_>, without: Option<&str>) -> anyhow::Result<()> {
+        match self.part_of_a_flow {
+            true => Ok(()),
+            false if self.json => self.print_json(&run.metrics()?),
+            false => self.say_next_without(run, without),
         }
-        let again = format!("sms {name} ");
-        if let Some(next) = run.status()?.next.iter().find(|next| !next.starts_with(&again)) {
-            self.say(format!("next: {next}"));
-        }
-        Ok(())
     }
 
     /// Prints the command to run next.
@@ -130,7 +127,13 @@ impl Console {
     /// # Errors
     /// If the state of the run cannot be read.
     pub fn say_next(&self, run: &Run<'_>) -> anyhow::Result<()> {
-        if let Some(next) = run.status()?.next.first() {
+        self.say_next_without(run, None)
+    }
+
+    fn say_next_without(&self, run: &Run<'_>, name: Option<&str>) -> anyhow::Result<()> {
+        let again = name.map(|name| format!("sms {name} "));
+        let is_other = |next: &&String| again.as_ref().is_none_or(|again| !next.starts_with(again));
+        if let Some(next) = run.status()?.next.iter().find(is_other) {
             self.say(format!("next: {next}"));
         }
         Ok(())

@@ -1,7 +1,7 @@
 //! Comparison of readings of the recording: pose and axis convention, depth unit, pixel centre.
 
 use super::overlap::{DepthSamples, Hypothesis, PairErrors, median};
-use super::report::{axes_name, direction_name, reading_name, short};
+use super::report::{axes_name, direction_name, other_center, reading_name, short};
 use super::{CheckReport, Finding, OverlapError, PixelCenterFit, ReadingFit, Severity, UnitFit};
 use crate::formats::to_opencv;
 use crate::{Axes, PoseDirection, Recording, RecordingFormat};
@@ -371,7 +371,7 @@ fn judge_pixel_center(data: &CheckData<'_>, report: &mut CheckReport) {
         return;
     }
     let declared = report.pixel_center;
-    let other = if declared < 0.25 { 0.5 } else { 0.0 };
+    let other = other_center(declared);
     let poses = data.declared_poses();
     let gap = data.gap();
     let as_declared = data.errors(gap, &poses, &data.declared());

@@ -209,11 +209,10 @@ impl std::fmt::Display for CheckReport {
                 "  pixel centre      {} declared; {}",
                 short(self.pixel_center),
                 if fit.significant {
-                    let other = if fit.better < 0.25 { 0.5 } else { 0.0 };
                     format!(
                         "{} fits better than {} by {:.1} %",
                         short(fit.better),
-                        short(other),
+                        short(other_center(fit.better)),
                         100.0 * fit.gain
                     )
                 } else {
@@ -237,6 +236,11 @@ impl std::fmt::Display for CheckReport {
         }
         Ok(())
     }
+}
+
+/// Returns the pixel centre that is compared with this one: 0 or 0.5.
+pub(super) fn other_center(center: f64) -> f64 {
+    if center < 0.25 { 0.5 } else { 0.0 }
 }
 
 fn error_text(error: Option<f64>, suffix: &str) -> String {

@@ -95,8 +95,8 @@ fn read_trajectory(path: &Path) -> Result<Vec<(f64, DPose3)>, FramesError> {
 /// Pairs indices, closest in time first, each used once, at most `max_gap` seconds apart; ordered by `a`.
 fn associate(a: &[(f64, String)], b: &[(f64, String)], max_gap: f64) -> Vec<(usize, usize)> {
     let mut candidates: Vec<(f64, usize, usize)> = Vec::new();
+    let max_gap = max_gap + TIME_RESOLUTION_S;
     for (i, (t, _)) in a.iter().enumerate() {
-        let max_gap = max_gap + TIME_RESOLUTION_S;
         let from = b.partition_point(|(s, _)| *s < t - max_gap);
         for (j, (s, _)) in b.iter().enumerate().skip(from).take_while(|(_, (s, _))| *s <= t + max_gap) {
             candidates.push(((s - t).abs(), i, j));
