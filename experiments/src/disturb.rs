@@ -3,7 +3,7 @@
 use glamx::{DPose3, DQuat, DVec3};
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
-use sms_core::{Image, InputError, Seed, StageRng};
+use sms_core::{ColorImage, Image, InputError, Seed, StageRng};
 use sms_frames::{LoadSettings, Sequence, normals_from_depth};
 
 /// Disturbance of the frames after loading and before masks; none by default. Each frame is disturbed independently.
@@ -40,15 +40,8 @@ impl Disturbance {
             let seed = seed.derive_index("disturbance", frame.index as u64);
             if self.disturbs_poses() {
                 let mut rng = seed.derive("pose").rng();
-                let third = 1.0 / 3f64.sqrt();
-                let mut vector =
-                    |rms: f64| DVec3::from_array([(); 3].map(|()| normal(&mut rng))) * rms * third;
-                let (shift, turn) = (vector(self.pose_shift_m), vector(self.pose_turn_rad));
                 let x_wc = &mut frame.camera.x_wc;
-                *x_wc = DPose3::from_parts(
-                    x_wc.translation + shift,
-                    (x_wc.rotation * DQuat::from_scaled_axis(turn)).normalize(),
-                );
+                *x_wc = disturbed_pose(x_wc, self.pose_shift_m, self.pose_turn_rad, &mut rng);
             }
             if self.depth_noise_m > 0.0 || self.missing > 0.0 {
                 let mut rng = seed.derive("depth").rng();
@@ -61,18 +54,34 @@ impl Disturbance {
                 frame.normal_c = normals_from_depth(&frame.depth, k, &load.noise, load.normal_radius);
             }
             if self.color_shift_px != 0 {
-                let source = &frame.color;
-                let pixels = (0..source.data.len())
-                    .map(|i| {
-                        let (x, y) = ((i % source.width) as i64, i / source.width);
-                        let from = (x - self.color_shift_px).clamp(0, source.width as i64 - 1);
-                        source[(from as usize, y)]
-                    })
-                    .collect();
-                frame.color = Image::from_vec(source.width, source.height, pixels);
+                frame.color = shifted(&frame.color, self.color_shift_px);
             }
         }
     }
+}
+
+/// Shifts and turns a camera at random, with these root mean squares of the length and of the angle.
+pub(crate) fn disturbed_pose(x_wc: &DPose3, shift_m: f64, turn_rad: f64, rng: &mut StageRng) -> DPose3 {
+    let third = 1.0 / 3f64.sqrt();
+    let (shift, turn) = (normals(rng) * shift_m * third, normals(rng) * turn_rad * third);
+    DPose3::from_parts(x_wc.translation + shift, (x_wc.rotation * DQuat::from_scaled_axis(turn)).normalize())
+}
+
+/// Returns an image whose content lies `by_px` pixels further to the right; its border is repeated.
+pub(crate) fn shifted(source: &ColorImage, by_px: i64) -> ColorImage {
+    let pixels = (0..source.data.len())
+        .map(|i| {
+            let (x, y) = ((i % source.width) as i64, i / source.width);
+            let from = (x - by_px).clamp(0, source.width as i64 - 1);
+            source[(from as usize, y)]
+        })
+        .collect();
+    Image::from_vec(source.width, source.height, pixels)
+}
+
+/// Three standard normal numbers.
+pub(crate) fn normals(rng: &mut StageRng) -> DVec3 {
+    DVec3::from_array([(); 3].map(|()| normal(rng)))
 }
 
 /// A standard normal number: the sum of twelve uniform ones, which is near normal with unit variance.

@@ -47,7 +47,7 @@ pub(crate) fn run(console: &Console, a: &OrbitsArguments) -> anyhow::Result<()> 
         }
     }
     progress.end("");
-    finish(console, &orbit_metrics(&rows), a.out.as_ref(), orbit_table(&rows).trim_end())
+    finish(console, &orbit_metrics(&rows), a.out.as_ref(), &orbit_table(&rows))
 }
 
 /// Returns the values with these names, or all without names.

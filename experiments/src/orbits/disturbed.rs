@@ -1,9 +1,10 @@
 //! Faults of given poses, as of trackers, arms and cameras that are not registered.
 
+use super::poses_of;
+use crate::disturb::{disturbed_pose, normals, shifted};
 use glamx::{DPose3, DQuat, DVec3};
-use rand::RngExt;
 use serde::{Deserialize, Serialize};
-use sms_core::{Image, Seed, StageRng};
+use sms_core::{Seed, StageRng};
 use sms_frames::Sequence;
 
 /// A fault of a recording's poses or of its colour.
@@ -51,7 +52,7 @@ impl PoseFault {
         if self.has(Self::ColorShift) {
             sequence.frames.iter_mut().for_each(|f| f.color = shifted(&f.color, COLOR_SHIFT_PX));
         }
-        let mut poses: Vec<DPose3> = sequence.frames.iter().map(|f| f.camera.x_wc).collect();
+        let mut poses: Vec<DPose3> = poses_of(&sequence);
         if self.has(Self::Drift) {
             poses = drifted(&poses, &mut seed.derive("drift").rng());
         }
@@ -65,11 +66,8 @@ impl PoseFault {
         }
         if self.has(Self::Independent) {
             let mut rng = seed.derive("independent").rng();
-            let third = 1.0 / 3f64.sqrt();
             for x in &mut poses {
-                let shift = 0.005 * third * normals(&mut rng);
-                let turn = DQuat::from_scaled_axis(0.5f64.to_radians() * third * normals(&mut rng));
-                *x = DPose3::from_parts(x.translation + shift, (x.rotation * turn).normalize());
+                *x = disturbed_pose(x, 0.005, 0.5f64.to_radians(), &mut rng);
             }
         }
         sequence.frames.iter_mut().zip(poses).for_each(|(frame, x_wc)| frame.camera.x_wc = x_wc);
@@ -78,7 +76,7 @@ impl PoseFault {
 }
 
 /// Shift of the colour to the right, pixels.
-const COLOR_SHIFT_PX: usize = 3;
+const COLOR_SHIFT_PX: i64 = 3;
 /// Error of the position at the end of a path, relative to its length (root mean square).
 const DRIFT_SHARE: f64 = 0.01;
 
@@ -98,17 +96,6 @@ fn drifted(poses: &[DPose3], rng: &mut StageRng) -> Vec<DPose3> {
     drifted
 }
 
-fn shifted(color: &sms_core::ColorImage, by: usize) -> sms_core::ColorImage {
-    let (w, h) = color.size();
-    let pixels = (0..w * h).map(|i| color.data[i - (i % w).min(by)]).collect();
-    Image::from_vec(w, h, pixels)
-}
-
-/// Three standard normal numbers, each the sum of twelve uniform ones.
-fn normals(rng: &mut StageRng) -> DVec3 {
-    DVec3::from_array([(); 3].map(|()| (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0))
-}
-
 fn direction(rng: &mut StageRng) -> DVec3 {
     normals(rng).normalize_or(DVec3::X)
 }
@@ -116,6 +103,7 @@ fn direction(rng: &mut StageRng) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sms_core::Image;
 
     fn circle() -> Vec<DPose3> {
         let pose = |i: usize| {

@@ -83,13 +83,13 @@ pub fn box_errors(orbit: &Orbit, poses: &[DPose3]) -> BoxErrors {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::orbits::OrbitKind;
+    use crate::orbits::{OrbitKind, poses_of};
     use sms_core::Seed;
 
     #[test]
     fn true_poses_have_no_errors_but_noise_and_enlarged_ones_have_that_of_their_scale() {
         let orbit = Orbit::record(OrbitKind::Desk, Seed(1));
-        let truth = orbit.poses();
+        let truth = poses_of(&orbit.sequence);
         assert!((center_scale(&truth, &truth) - 1.0).abs() < 1e-12);
         let exact = box_errors(&orbit, &truth);
         assert!(exact.width_m.abs() < 5e-4 && exact.depth_m.abs() < 5e-4, "{exact:?}");

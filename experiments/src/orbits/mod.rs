@@ -11,6 +11,7 @@ pub use scene::{Orbit, OrbitKind};
 pub use table::{OrbitRow, orbit_metrics, orbit_table};
 
 use crate::BenchError;
+use glamx::DPose3;
 use sms_core::{Seed, StageContext};
 use sms_frames::Sequence;
 use sms_poses::{PoseVerdict, PosesConfig, PosesMode, refine_poses};
@@ -32,22 +33,19 @@ pub fn refine_orbit(
     let began = Instant::now();
     let refined = refine_poses(&given, &PosesConfig { mode: PosesMode::On, ..config.clone() }, context)?;
     let seconds = began.elapsed().as_secs_f64();
-    let errors = |sequence: &Sequence| {
-        let poses = sequence.frames.iter().map(|f| f.camera.x_wc).collect::<Vec<_>>();
-        (center_scale(&poses, &orbit.poses()), box_errors(orbit, &poses))
-    };
-    let (scale_before, faces_before) = errors(&given);
-    let (scale, faces) = errors(&refined.sequence);
+    let refined_poses = poses_of(&refined.sequence);
     Ok(OrbitRow {
         orbit: orbit.kind,
         fault,
-        scale_before,
-        scale,
-        faces_before,
-        faces,
+        scale: center_scale(&refined_poses, &poses_of(&orbit.sequence)),
+        faces_before: box_errors(orbit, &poses_of(&given)),
+        faces: box_errors(orbit, &refined_poses),
         is_improved: refined.report.verdict == PoseVerdict::Refined && refined.report.judgement.improved(),
-        residual_m: refined.report.judgement.after.depth_median_m,
-        color_shift_px: refined.report.color_shift_px,
         seconds,
     })
+}
+
+/// Returns the poses `X_WC` of the frames.
+fn poses_of(sequence: &Sequence) -> Vec<DPose3> {
+    sequence.frames.iter().map(|f| f.camera.x_wc).collect()
 }

@@ -188,9 +188,4 @@ impl Orbit {
         let sequence = Sequence { frames, x_world_recording: DPose3::identity(), source };
         Self { kind, sequence, true_depth, labels }
     }
-
-    /// Returns the true poses `X_WC`.
-    pub fn poses(&self) -> Vec<DPose3> {
-        self.sequence.frames.iter().map(|f| f.camera.x_wc).collect()
-    }
 }

@@ -3,7 +3,6 @@
 use super::{BoxErrors, OrbitKind, PoseFault};
 use sms_core::metrics::Metrics;
 use std::collections::BTreeMap;
-use std::fmt::Write;
 
 /// The result of one orbit.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -12,8 +11,6 @@ pub struct OrbitRow {
     pub orbit: OrbitKind,
     /// Fault of the poses.
     pub fault: PoseFault,
-    /// Scale of the given camera centres.
-    pub scale_before: f64,
     /// Scale of the refined camera centres.
     pub scale: f64,
     /// Errors of the box with the given poses.
@@ -22,10 +19,6 @@ pub struct OrbitRow {
     pub faces: BoxErrors,
     /// Whether the refined poses are judged better.
     pub is_improved: bool,
-    /// Median residual of held-out pairs, metres.
-    pub residual_m: Option<f64>,
-    /// Estimated shift of the colour, pixels.
-    pub color_shift_px: [f64; 2],
     /// Time of the refinement.
     pub seconds: f64,
 }
@@ -46,23 +39,23 @@ fn mean_and_rms(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (values.iter().sum::<f64>() / n, (values.iter().map(|v| v * v).sum::<f64>() / n).sqrt())
 }
 
-/// Figures of each scene and fault, in the order of the columns of [`orbit_table`].
+/// Figures of each scene and fault, in the order of [`COLUMNS`].
 fn figures(rows: &[&OrbitRow]) -> [(&'static str, f64); 9] {
-    let scale = |f: fn(&OrbitRow) -> f64| mean_and_rms(rows.iter().map(|r| f(r) - 1.0));
-    let length = |f: fn(&OrbitRow) -> f64| mean_and_rms(rows.iter().map(|r| f(r)));
-    let (bias, _) = scale(|r| r.scale);
-    let (_, spread) = scale(|r| r.scale);
+    let of = |f: fn(&OrbitRow) -> f64| mean_and_rms(rows.iter().map(|r| f(r)));
+    let (scale_bias, scale_rms) = of(|r| r.scale - 1.0);
+    let (width_bias_m, width_rms_m) = of(|r| r.faces.width_m);
+    let (depth_bias_m, depth_rms_m) = of(|r| r.faces.depth_m);
     let improved = rows.iter().filter(|r| r.is_improved).count() as f64 / rows.len().max(1) as f64;
     [
-        ("scale_bias", bias),
-        ("scale_rms", spread),
-        ("width_before_rms_m", length(|r| r.faces_before.width_m).1),
-        ("width_bias_m", length(|r| r.faces.width_m).0),
-        ("width_rms_m", length(|r| r.faces.width_m).1),
-        ("depth_bias_m", length(|r| r.faces.depth_m).0),
-        ("depth_rms_m", length(|r| r.faces.depth_m).1),
+        ("scale_bias", scale_bias),
+        ("scale_rms", scale_rms),
+        ("width_before_rms_m", of(|r| r.faces_before.width_m).1),
+        ("width_bias_m", width_bias_m),
+        ("width_rms_m", width_rms_m),
+        ("depth_bias_m", depth_bias_m),
+        ("depth_rms_m", depth_rms_m),
         ("improved_share", improved),
-        ("seconds", length(|r| r.seconds).0),
+        ("seconds", of(|r| r.seconds).0),
     ]
 }
 
@@ -79,41 +72,28 @@ pub fn orbit_metrics(rows: &[OrbitRow]) -> Metrics {
     m
 }
 
+/// Headings of [`figures`], with the factor to the shown unit, the digits and the unit.
+const COLUMNS: [(&str, f64, usize, &str); 9] = [
+    ("scale bias", 1e2, 3, " %"),
+    ("rms", 1e2, 3, " %"),
+    ("given width", 1e3, 2, " mm"),
+    ("width bias", 1e3, 2, " mm"),
+    ("rms", 1e3, 2, " mm"),
+    ("depth bias", 1e3, 2, " mm"),
+    ("rms", 1e3, 2, " mm"),
+    ("better", 1e2, 0, " %"),
+    ("s", 1.0, 1, ""),
+];
+
 /// Returns a table with one line per scene and fault.
 pub fn orbit_table(rows: &[OrbitRow]) -> String {
-    let mut out = format!(
-        "{:<5} {:<12} {:>3} {:>10} {:>9} {:>11} {:>10} {:>9} {:>10} {:>9} {:>7} {:>6}\n",
-        "scene",
-        "fault",
-        "n",
-        "scale bias",
-        "rms",
-        "given width",
-        "width bias",
-        "rms",
-        "depth bias",
-        "rms",
-        "better",
-        "s"
-    );
+    let mut out = format!("{:<5} {:<12} {:>3}", "scene", "fault", "n");
+    COLUMNS.iter().for_each(|column| out += &format!(" {:>11}", column.0));
     for ((orbit, fault), rows) in groups(rows) {
-        let f = figures(&rows).map(|f| f.1);
-        let _ = writeln!(
-            out,
-            "{:<5} {:<12} {:>3} {:>8.3} % {:>7.3} % {:>8.2} mm {:>7.2} mm {:>6.2} mm {:>7.2} mm {:>6.2} mm {:>5.0} % {:>6.1}",
-            orbit.as_str(),
-            fault.as_str(),
-            rows.len(),
-            1e2 * f[0],
-            1e2 * f[1],
-            1e3 * f[2],
-            1e3 * f[3],
-            1e3 * f[4],
-            1e3 * f[5],
-            1e3 * f[6],
-            1e2 * f[7],
-            f[8]
-        );
+        out += &format!("\n{:<5} {:<12} {:>3}", orbit.as_str(), fault.as_str(), rows.len());
+        for ((_, value), (_, factor, digits, unit)) in figures(&rows).into_iter().zip(COLUMNS) {
+            out += &format!(" {:>11}", format!("{:.digits$}{unit}", factor * value));
+        }
     }
     out
 }
@@ -127,13 +107,10 @@ mod tests {
         let row = |fault, scale, width_m| OrbitRow {
             orbit: OrbitKind::Box,
             fault,
-            scale_before: 1.0,
             scale,
             faces_before: BoxErrors::default(),
             faces: BoxErrors { width_m, depth_m: 0.0 },
             is_improved: width_m > 0.0,
-            residual_m: None,
-            color_shift_px: [0.0; 2],
             seconds: 2.0,
         };
         let rows = [
