@@ -7,7 +7,7 @@ use sms_core::{Cancel, InputError, Progress};
 use sms_eval::mean;
 use sms_plan::PlanError;
 use sms_scene::{BodyKind, BodyShape};
-use sms_sim::{RapierFactory, WorldFactory, WorldOptions};
+use sms_sim::{RapierF64Factory, RapierFactory, WorldFactory, WorldOptions};
 use sms_target::{Target, TargetEngine, TargetOptions, disturbed};
 use sms_task::Action;
 use std::time::Instant;
@@ -22,6 +22,19 @@ impl Target for PlannerEngine {
 
     fn world_options(&self, planner: &WorldOptions) -> WorldOptions {
         *planner
+    }
+}
+
+/// Rapier in double precision at a quarter of the planner's step.
+struct DoublePrecision;
+
+impl Target for DoublePrecision {
+    fn factory(&self) -> &dyn WorldFactory {
+        &RapierF64Factory
+    }
+
+    fn world_options(&self, planner: &WorldOptions) -> WorldOptions {
+        WorldOptions { dt: 0.25 * planner.dt, ..*planner }
     }
 }
 
@@ -41,7 +54,7 @@ struct EngineShot {
 /// every engine that can be used. Keys, over all shots: `bench.engines.{engine}.{objective_mean_m,
 /// objective_difference_{mean,median,max}_m, ball_difference_{mean,median}_m, other_difference_{mean,median}_m, shot_s,
 /// failed}`, where differences are to the shot in the reference engine (`bench.engines.reference`: PhysX precise, else
-/// Rapier in double precision), and `failed` counts shots that an engine could not finish.
+/// Rapier at a quarter of the planner's step), and `failed` counts shots that an engine could not finish.
 ///
 /// # Errors
 /// [`BenchError`]: a scene that cannot be simulated by the planner's engine, or interruption.
@@ -51,7 +64,8 @@ pub fn run_engines(
     progress: &dyn Progress,
     cancel: &Cancel,
 ) -> Result<Metrics, BenchError> {
-    let mut rows: Vec<(&str, Box<dyn Target>)> = vec![("rapier_f32", Box::new(PlannerEngine))];
+    let mut rows: Vec<(&str, Box<dyn Target>)> =
+        vec![("rapier_f32", Box::new(PlannerEngine)), ("rapier_f64", Box::new(DoublePrecision))];
     let mut metrics = Metrics::new();
     for engine in TargetEngine::ALL.into_iter().filter(|e| e.is_built_in()) {
         match engine.target() {
@@ -160,7 +174,7 @@ pub fn engines_table(metrics: &Metrics) -> String {
         metrics.number("bench.engines.shots").unwrap_or(0.0),
         text("reference").unwrap_or("?"),
     );
-    let keys = ["rapier_f32", "rapier_f64", "physx_precise", "physx_stock", "mujoco", CHAOS];
+    let keys = ["rapier_f32", "rapier", "rapier_f64", "physx_precise", "physx_stock", "mujoco", CHAOS];
     for key in keys {
         let get = |name: &str| metrics.number(&format!("bench.engines.{key}.{name}"));
         if let Some(why) = text(&format!("{key}.not_run")) {

@@ -49,7 +49,9 @@ mod wash;
 mod world;
 
 pub use geometry::signed_distance;
-pub use rapier::{NamedRapierF64, RapierF64Factory, RapierFactory};
+#[cfg(feature = "f64")]
+pub use rapier::RapierF64Factory;
+pub use rapier::{NamedRapier, RapierFactory};
 pub use rest::{RestLimits, RestingDrift, fix_restless, resting_drift};
 pub use simulation::{Simulation, SimulationProfile};
 pub use sms_robots::SEGMENT_M;

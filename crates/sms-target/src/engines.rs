@@ -2,7 +2,7 @@
 
 use crate::{SameEngineTarget, Target};
 use sms_core::InputError;
-use sms_sim::{RapierF64Factory, WorldFactory, WorldOptions};
+use sms_sim::{RapierFactory, WorldFactory, WorldOptions};
 
 #[cfg(feature = "mujoco")]
 use crate::mujoco::MujocoFactory;
@@ -12,7 +12,7 @@ use crate::physx::PhysxFactory;
 /// A physics engine in which plans are executed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum TargetEngine {
-    /// Rapier, the planner's engine, in double precision at a quarter of the step.
+    /// Rapier, the planner's engine, at a quarter of its step.
     Rapier,
     /// PhysX, tuned for the closest agreement with closed forms.
     Physx,
@@ -39,7 +39,7 @@ impl TargetEngine {
     /// Returns the name in metrics.
     pub fn key(self) -> &'static str {
         match self {
-            Self::Rapier => "rapier_f64",
+            Self::Rapier => "rapier",
             Self::Physx => "physx_precise",
             Self::PhysxStock => "physx_stock",
             Self::Mujoco => "mujoco",
@@ -79,7 +79,7 @@ impl TargetEngine {
     /// [`InputError`] if the engine is not built in, or its library is not found.
     pub fn factory(self) -> Result<Box<dyn WorldFactory>, InputError> {
         match self {
-            Self::Rapier => Ok(Box::new(RapierF64Factory)),
+            Self::Rapier => Ok(Box::new(RapierFactory)),
             #[cfg(feature = "physx")]
             Self::Physx => Ok(Box::new(PhysxFactory::Precise)),
             #[cfg(feature = "physx")]

@@ -1,7 +1,7 @@
 //! Targets: an engine and the time step at which it is accurate.
 
 use sms_scene::Scene;
-use sms_sim::{NamedRapierF64, SimError, Simulation, WorldFactory, WorldOptions};
+use sms_sim::{NamedRapier, SimError, Simulation, WorldFactory, WorldOptions};
 
 /// A simulation in which plans are executed.
 pub trait Target: Sync {
@@ -25,18 +25,17 @@ pub trait Target: Sync {
     }
 }
 
-/// Rapier in double precision at a quarter of the planner's step. It is the planner's own engine: plan and execution
-/// differ in the scene, the precision and the step, not in the contact model. The label in tables and pages states
-/// this.
+/// Rapier at a quarter of the planner's step. It is the planner's own engine: plan and execution differ in the scene and
+/// the step, not in the contact model. The label in tables and pages states this.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SameEngineTarget;
 
 /// The label of [`SameEngineTarget`].
-pub const SAME_ENGINE: &str = "rapier3d f64, quarter step (same engine)";
+pub const SAME_ENGINE: &str = "rapier3d f32, quarter step (same engine)";
 
 impl Target for SameEngineTarget {
     fn factory(&self) -> &dyn WorldFactory {
-        &NamedRapierF64 { name: SAME_ENGINE }
+        &NamedRapier { name: SAME_ENGINE }
     }
 
     fn world_options(&self, planner: &WorldOptions) -> WorldOptions {

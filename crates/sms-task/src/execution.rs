@@ -36,7 +36,7 @@ impl AgainstPrediction {
 /// A plan carried out in a target world, with the observed trajectory.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Execution {
-    /// Engine of the target, with its label ("rapier3d f64, quarter step (same engine)").
+    /// Engine of the target, with its label ("rapier3d f32, quarter step (same engine)").
     pub engine: String,
     /// Realised objective, in the task's unit.
     pub objective: f64,
@@ -86,7 +86,7 @@ mod tests {
         let x_wb = DPose3::from_translation(DVec3::new(0.1 + 0.2, 1.0 / 3.0, -1e-17));
         let state = BodyState { x_wb, v_w: DVec3::X, w_w: DVec3::Y };
         let mut execution = Execution {
-            engine: "rapier3d f64, quarter step (same engine)".to_owned(),
+            engine: "rapier3d f32, quarter step (same engine)".to_owned(),
             objective: 0.012_345_678_901_234_5,
             objective_unit: "m".to_owned(),
             success: true,

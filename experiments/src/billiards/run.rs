@@ -294,14 +294,14 @@ pub(super) mod tests {
 
         let all = read_billiards(&one).unwrap();
         for s in &all {
-            let count = |row| s.realised["rapier_f64"][&row].len();
+            let count = |row| s.realised["rapier"][&row].len();
             assert_eq!(
                 (count(Row::Paper), count(Row::Ours), count(Row::Robust), count(Row::Grid)),
                 (2, 2, 1, 1)
             );
         }
         let metrics = billiards_metrics(&all);
-        let get = |key: &str| metrics.number(&format!("bench.billiards.rapier_f64.{key}")).unwrap();
+        let get = |key: &str| metrics.number(&format!("bench.billiards.rapier.{key}")).unwrap();
         let single = [1, 3].map(|n| get(&format!("ours.class.scene_{n:02}.robust_single_m")));
         assert!((get("ours.class.robust_single_mean_m") - 0.5 * (single[0] + single[1])).abs() < 1e-12);
         assert_eq!(get("grid.class.realised_mean_m"), get("grid.class.realised_best_mean_m"));
@@ -318,7 +318,7 @@ pub(super) mod tests {
         assert_eq!(alone[0].plans[&Row::Ours], first[0].plans[&Row::Ours]);
         let text = billiards_table(&alone);
         assert!(text.contains("2 starts") && !text.contains("NaN") && !text.contains("inf"), "{text}");
-        assert!(billiards_metrics(&alone).number("bench.billiards.rapier_f64.paper.class.scenes").is_none());
+        assert!(billiards_metrics(&alone).number("bench.billiards.rapier.paper.class.scenes").is_none());
         write_pictures(dir.path(), &alone, &text).unwrap();
 
         let parquet = dir.path().join("shots.parquet");
@@ -336,7 +336,7 @@ pub(super) mod tests {
         run();
         let all = read_billiards(&bench).unwrap();
         let ablation = all[0].ablation.as_ref().unwrap();
-        assert_eq!((ablation.judge.as_str(), ablation.rows.len()), ("rapier_f64", Replaced::ALL.len()));
+        assert_eq!((ablation.judge.as_str(), ablation.rows.len()), ("rapier", Replaced::ALL.len()));
         for row in [Row::Ours, Row::Robust] {
             // Nothing differs: neither the planner's knowledge, the engine, nor its step.
             let of = &ablation.rows[&Replaced::All][&row];
@@ -344,7 +344,7 @@ pub(super) mod tests {
             assert!((realised - of.predicted_m[0]).abs() < 1e-5, "{realised} {:?}", of.predicted_m);
             // `None` repeats the plain run.
             let none = &ablation.rows[&Replaced::None][&row];
-            assert_eq!(none.realised_m[0], all[0].realised["rapier_f64"][&row][0]);
+            assert_eq!(none.realised_m[0], all[0].realised["rapier"][&row][0]);
         }
         let metrics = billiards_metrics(&all);
         for what in Replaced::ALL {
@@ -363,7 +363,7 @@ pub(super) mod tests {
         let page = std::fs::read_to_string(dir.path().join("index.html")).unwrap();
         assert!(page.contains("a &lt; b") && page.contains("row ours") && page.contains("row paper"));
         // The picture of the realised shot draws each body of the true scene, and ghosts of the balls.
-        let picture = dir.path().join("figures/scene_08_rapier_f64_class.svg");
+        let picture = dir.path().join("figures/scene_08_rapier_class.svg");
         let picture = std::fs::read_to_string(picture).unwrap();
         assert_eq!(picture.matches("aria-label=\"the scene from above\"").count(), 2);
         assert!(picture.matches("<circle").count() > 10 && picture.contains("realised"), "{picture}");
@@ -395,14 +395,14 @@ pub(super) mod tests {
         let mut result = crate::billiards::result::tests::scene(0.01, None);
         result.plans = plans;
         result.paper_problem = Some("no ball is blue".into());
-        result.realised = BTreeMap::from([("rapier_f64".to_owned(), rows)]);
-        result.unfinished = BTreeMap::from([("rapier_f64".to_owned(), unfinished)]);
+        result.realised = BTreeMap::from([("rapier".to_owned(), rows)]);
+        result.unfinished = BTreeMap::from([("rapier".to_owned(), unfinished)]);
         let text = billiards_table(std::slice::from_ref(&result));
         assert!(text.contains(&line), "{text}");
         assert!(text.contains("not planned, scene  3: row paper: no ball is blue"), "{text}");
         let metrics = billiards_metrics(std::slice::from_ref(&result));
         for key in ["unfinished", "robust_single_unfinished"] {
-            assert_eq!(metrics.number(&format!("bench.billiards.rapier_f64.ours.class.{key}")), Some(1.0));
+            assert_eq!(metrics.number(&format!("bench.billiards.rapier.ours.class.{key}")), Some(1.0));
         }
     }
 

@@ -5,7 +5,7 @@ use sms_cli::front::Console;
 use sms_core::InputError;
 use sms_core::metrics::Metrics;
 use sms_eval::closed_form::{Statistic, probes};
-use sms_sim::{RapierFactory, WorldFactory};
+use sms_sim::{RapierF64Factory, RapierFactory, WorldFactory};
 use sms_target::TargetEngine;
 
 /// The planner's engine, whose figures must be within the limits. Targets may miss them (experiments/studies/target.md
@@ -22,13 +22,13 @@ pub(crate) struct PhysicsArguments {
     pub engine: String,
 }
 
-/// The factories of all engines that are built in, with their names in metrics, the planner's first. An engine that
-/// cannot be used has the reason in place of the factory.
+/// The factories of all engines that are built in, with their names in metrics, the planner's first, in both
+/// precisions. An engine that cannot be used has the reason in place of the factory.
 fn engine_factories() -> Vec<(&'static str, Result<Box<dyn WorldFactory>, InputError>)> {
     let mut all: Vec<(&'static str, Result<Box<dyn WorldFactory>, InputError>)> =
-        vec![("rapier_f32", Ok(Box::new(RapierFactory)))];
-    let built_in = TargetEngine::ALL.into_iter().filter(|e| e.is_built_in());
-    all.extend(built_in.map(|engine| (engine.key(), engine.factory())));
+        vec![("rapier_f32", Ok(Box::new(RapierFactory))), ("rapier_f64", Ok(Box::new(RapierF64Factory)))];
+    let others = TargetEngine::ALL.into_iter().filter(|e| e.is_built_in() && *e != TargetEngine::Rapier);
+    all.extend(others.map(|engine| (engine.key(), engine.factory())));
     all
 }
 

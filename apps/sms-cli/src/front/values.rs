@@ -53,7 +53,7 @@ impl RefinePoses {
 /// Engine of the target world.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum EngineName {
-    /// The planner's engine in double precision at a quarter of the time step; tables say "same engine".
+    /// The planner's engine at a quarter of its time step; tables say "same engine".
     Rapier,
     /// PhysX with small contact offsets and split steps, for precision (feature physx).
     Physx,

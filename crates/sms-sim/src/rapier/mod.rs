@@ -1,8 +1,9 @@
-//! The Rapier engine: one source, compiled for both precisions.
+//! The Rapier engine: one source, compiled for single precision and, with the feature `f64`, for double precision too.
 
 use crate::{SimError, World, WorldFactory, WorldOptions};
 use sms_scene::Scene;
 
+#[cfg(feature = "f64")]
 mod double;
 mod single;
 
@@ -10,24 +11,25 @@ mod single;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RapierFactory;
 
-/// Rapier in double precision: the reference, and the target if no other engine is built in.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct RapierF64Factory;
-
-/// Rapier in double precision under another name, for a target that must be distinguishable.
+/// Rapier in single precision under another name, for a target that must be distinguishable.
 #[derive(Debug, Clone, Copy)]
-pub struct NamedRapierF64 {
+pub struct NamedRapier {
     /// Result of [`WorldFactory::engine`].
     pub name: &'static str,
 }
 
-impl WorldFactory for NamedRapierF64 {
+/// Rapier in double precision: the reference of tests and experiments.
+#[cfg(feature = "f64")]
+#[derive(Debug, Clone, Copy, Default)]
+pub struct RapierF64Factory;
+
+impl WorldFactory for NamedRapier {
     fn engine(&self) -> &'static str {
         self.name
     }
 
     fn build(&self, scene: &Scene, options: &WorldOptions) -> Result<Box<dyn World>, SimError> {
-        Ok(Box::new(double::adapter::RapierWorld::build(self.name, scene, options)?))
+        Ok(Box::new(single::adapter::RapierWorld::build(self.name, scene, options)?))
     }
 }
 
@@ -41,6 +43,7 @@ impl WorldFactory for RapierFactory {
     }
 }
 
+#[cfg(feature = "f64")]
 impl WorldFactory for RapierF64Factory {
     fn engine(&self) -> &'static str {
         "rapier3d f64"
