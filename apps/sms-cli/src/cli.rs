@@ -57,7 +57,7 @@ pub(crate) enum Command {
     Report(ReportArguments),
     /// Write the scene for other simulators.
     Export(ExportArguments),
-    /// Open the report in a browser.
+    /// Write the report and open it in a browser.
     View(ReportArguments),
     /// Run all stages on a generated scene.
     Demo(DemoArguments),

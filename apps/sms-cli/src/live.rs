@@ -42,7 +42,7 @@ impl Watch {
             Some(_) => Err(sms_core::InputError::new(
                 "this `sms` was built without the Rerun viewer",
                 "--live",
-                "build it with the feature (about ten minutes): cargo install --path apps/sms-cli --features rerun",
+                "build it with the feature (about ten minutes): cargo install --locked --path apps/sms-cli --features rerun",
             )
             .into()),
         }
