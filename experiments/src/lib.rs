@@ -87,8 +87,8 @@ pub use materialize::{
 pub use optimisers::{Entrant, OptimiserBench, optimiser_table, run_optimisers};
 pub use options::BenchOptions;
 pub use orbits::{
-    BoxErrors, Orbit, OrbitKind, OrbitRow, PoseFault, box_errors, center_scale, orbit_metrics, orbit_table,
-    refine_orbit,
+    BoxErrors, Orbit, OrbitKind, OrbitRow, PoseFault, Sigmas, box_errors, center_scale, orbit_metrics,
+    orbit_table, refine_orbit,
 };
 pub use panels::write_panel;
 pub use plan_scenes::{PlanScene, SceneFamily, TUNING_SEEDS};

@@ -33,6 +33,10 @@ pub struct PosesConfig {
     pub prior_position_m: f64,
     /// Standard deviation of the given camera rotations per axis.
     pub prior_rotation_rad: f64,
+    /// Standard deviation of the hand-eye correction that all frames share, per axis, metres. With 0, there is none.
+    pub prior_hand_eye_m: f64,
+    /// Standard deviation of its rotation per axis, radians.
+    pub prior_hand_eye_rad: f64,
     /// Number of partners of each frame: those with the most overlap from a similar side.
     pub neighbours: usize,
     /// Number of partners of each frame with a more different direction, so that small errors do not add up along the
@@ -42,13 +46,19 @@ pub struct PosesConfig {
     pub color_sigma: f64,
     /// Error of colour per gradient: the assumed misalignment between the images of one point, pixels of the level.
     pub color_slip_px: f64,
-    /// Minimum gradient of a point for comparison by colour, levels per pixel. Below it, noise looks like texture.
+    /// Minimum gradient of a point for comparison by colour, levels per pixel.
     pub min_gradient: f64,
     /// Standard deviation of the shift of colour against depth, which is estimated along with the poses, pixels at
     /// loaded size. With 0, both are exactly registered.
     pub prior_color_shift_px: f64,
     /// Share of the measurements that counts as independent; scales both data terms.
     pub independent_share: f64,
+    /// Radius of the window of the normals of single frames, pixels at loaded size. They tell the side of a surface, and its
+    /// direction where it is not flat.
+    pub normal_radius_px: usize,
+    /// Distance from depth edges within which depth is not compared in the end, except on flat surfaces, pixels at loaded size:
+    /// points there may be compared with another surface.
+    pub edge_px: usize,
     /// Whether depth is compared.
     pub use_depth: bool,
     /// Whether colour is compared.
@@ -68,6 +78,8 @@ impl Default for PosesConfig {
             noise: DepthNoise::default(),
             prior_position_m: 0.015,
             prior_rotation_rad: 1f64.to_radians(),
+            prior_hand_eye_m: 0.015,
+            prior_hand_eye_rad: 1.5f64.to_radians(),
             neighbours: 4,
             far_neighbours: 2,
             color_sigma: 3.0,
@@ -75,6 +87,8 @@ impl Default for PosesConfig {
             min_gradient: 2.0,
             prior_color_shift_px: 2.0,
             independent_share: 0.1,
+            normal_radius_px: 3,
+            edge_px: 2,
             use_depth: true,
             use_color: true,
             finest_long_side: 320,
@@ -94,6 +108,8 @@ impl PosesConfig {
         self.noise.validate("poses", "noise.")?;
         r.within("prior_position_m", self.prior_position_m, 1e-6, 10.0)?;
         r.within("prior_rotation_rad", self.prior_rotation_rad, 1e-6, 3.0)?;
+        r.within("prior_hand_eye_m", self.prior_hand_eye_m, 0.0, 1.0)?;
+        r.within("prior_hand_eye_rad", self.prior_hand_eye_rad, 0.0, 3.0)?;
         r.count("neighbours", self.neighbours, 1, 1000)?;
         r.count("far_neighbours", self.far_neighbours, 0, 1000)?;
         r.within("color_sigma", self.color_sigma, 0.1, 255.0)?;
@@ -101,6 +117,8 @@ impl PosesConfig {
         r.within("min_gradient", self.min_gradient, 0.0, 255.0)?;
         r.within("prior_color_shift_px", self.prior_color_shift_px, 0.0, 100.0)?;
         r.within("independent_share", self.independent_share, 1e-6, 1.0)?;
+        r.count("normal_radius_px", self.normal_radius_px, 1, 64)?;
+        r.count("edge_px", self.edge_px, 0, 64)?;
         r.count("finest_long_side", self.finest_long_side, 16, 16_384)?;
         r.count("iterations.len()", self.iterations.len(), 1, 8)?;
         for (level, &count) in self.iterations.iter().enumerate() {

@@ -1,7 +1,9 @@
 //! Comparison of refined with given poses on pairs of frames and points that the refinement did not use.
 
+use crate::histogram::{Histogram, ResidualStats};
+use crate::pair::PairSums;
 use crate::refine::{BundleAdjustment, arcs};
-use crate::residual::{Histogram, LinearisationPoint, PairSums, ResidualStats, Weighing};
+use crate::residual::{LinearisationPoint, Phase, Weighing};
 use crate::views::Point;
 use glamx::DPose3;
 use rayon::prelude::*;
@@ -123,10 +125,10 @@ fn residuals(
 ) -> Vec<ResidualStats> {
     let mut arcs = arcs(pairs);
     let weighing = Weighing { depth_scale: 4.0, color_scale: 4.0, gate_m: problem.widest_gate_m() };
-    let at = LinearisationPoint { level: 0, poses, color_shift };
+    let at = LinearisationPoint { level: 0, poses, color_shift, phase: Phase::Approach };
     let mut sums: Vec<PairSums> = Vec::new();
     for _ in 0..3 {
-        sums = problem.linearise_all(&arcs, points, at, &weighing);
+        sums = problem.linearise_all(problem.views, &arcs, points, at, &weighing);
         for (arc, pair) in arcs.iter_mut().zip(&sums) {
             arc.brightness = pair.brightness_after(&[0.0; 6], [0.0; 2], arc.brightness);
         }

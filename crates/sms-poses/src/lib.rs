@@ -7,12 +7,18 @@
 //! - points of one frame are projected into the other. The residuals are their distance to the measured surface (point
 //!   to plane) and their difference in brightness, each weighted by its noise. A plane such as a table top constrains
 //!   three directions by depth and the others by its texture;
+//! - surface directions come from the planes that the points of all frames form: those of one noisy depth image resist
+//!   motion that they know nothing about. Derivatives of colour have the same fault, and are used as instruments in the
+//!   end: the noise of one image is independent of that of the other;
+//! - the given poses are measurements `given_i · E · exp(ξ_i)`, with a correction E that all frames share (the camera on
+//!   its hand or motion-capture body), and noise ξ, independent or drifting, whose size is estimated;
 //! - all corrections are solved for together (Gauss-Newton with robust weights, coarse to fine; conjugate gradients
-//!   over 6 × 6 blocks), with a weak prior at the given poses. No single frame is held fixed: at the end, all cameras
-//!   are moved rigidly so that the measured points are closest, in the least-squares sense, to their positions under
-//!   the given poses;
+//!   over 6 × 6 blocks). No single frame is held fixed: at the end, all cameras are moved rigidly so that the measured
+//!   points are closest, in the least-squares sense, to their positions under the given poses;
 //! - gain and offset of the brightness are fitted to each pair, and one shift of the colour against the depth to all
-//!   frames: without it, colour that is off by a few pixels would bias all poses to one side.
+//!   frames: without it, colour that is off by a few pixels would bias all poses to one side;
+//! - the covariance of the result gives the uncertainty of the scene's size ([`SizeUncertainty`]): faces that can move
+//!   against each other at no cost do not show in the residuals.
 //!
 //! [`PosesMode::Auto`] uses the result only if held-out pairs of frames and points agree significantly better than
 //! before; otherwise the given poses are kept.
@@ -35,22 +41,30 @@
 
 mod align;
 mod config;
+mod covariance;
+mod floor;
+mod given;
 mod graph;
+mod histogram;
 mod judge;
 mod linear;
 mod luma;
+mod pair;
+mod planes;
 mod refine;
 mod report;
 mod residual;
+mod size;
 mod views;
 
 pub use align::align_rigidly;
 pub use config::{PosesConfig, PosesMode};
 pub use judge::{Consistency, Gain, Judgement};
-pub use report::{PoseCorrection, PoseReport, PoseVerdict};
+pub use report::{GivenSigma, HandEye, PoseCorrection, PoseReport, PoseVerdict};
+pub use size::{ExtentUncertainty, SizeUncertainty};
 
 use glamx::DPose3;
-use refine::BundleAdjustment;
+use refine::{BundleAdjustment, Refined};
 use sms_core::{CoreError, StageContext, Warnings};
 use sms_frames::Sequence;
 
@@ -96,7 +110,8 @@ pub fn refine_poses(
         );
         return keep(PoseVerdict::NotPossible);
     }
-    let (poses, color_shift_px, iterations) = problem.run(progress, cancel)?;
+    let Refined { poses, color_shift_px, hand_eye, noise, floor, uncertainty, iterations } =
+        problem.run(progress, cancel)?;
     let judgement = judge::judge(&problem, &poses, color_shift_px);
     let corrections: Vec<PoseCorrection> = given
         .iter()
@@ -114,6 +129,10 @@ pub fn refine_poses(
         pairs: problem.graph.pairs.len(),
         iterations,
         color_shift_px,
+        hand_eye: HandEye::of(&hand_eye),
+        given_sigma: GivenSigma::of(&noise),
+        pair_floor_m: floor.shift_m,
+        size: uncertainty.unwrap_or_default(),
         corrections,
         judgement,
     };

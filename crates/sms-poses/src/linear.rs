@@ -1,6 +1,7 @@
-//! The linear system of all corrections: 6 × 6 blocks, solved by conjugate gradients.
+//! The linear system of all corrections: 6 × 6 blocks and a few values common to all frames, solved by conjugate
+//! gradients.
 
-use crate::residual::ShiftSums;
+use crate::pair::ShiftSums;
 use sms_core::Cholesky;
 
 /// A symmetric 6 × 6 block.
@@ -8,16 +9,26 @@ pub(crate) type Block = [[f64; 6]; 6];
 /// A correction (turn, shift) or its gradient.
 pub(crate) type Six = [f64; 6];
 
-/// Σ over pairs of ½ (δᵢ − δⱼ)ᵀ H (δᵢ − δⱼ) + gᵀ (δᵢ − δⱼ), and over frames of ½ δᵢᵀ P δᵢ + qᵀ δᵢ.
+/// Values common to all frames: the colour shift (x, y), then the correction of the hand-eye pose (turn, shift).
+pub(crate) const COMMON: usize = 8;
+/// First of the values of the hand-eye pose.
+pub(crate) const HAND_EYE: usize = 2;
+/// The common values or their gradient.
+pub(crate) type Common = [f64; COMMON];
+
+/// Σ over pairs of ½ (δᵢ − δⱼ)ᵀ H (δᵢ − δⱼ) + gᵀ (δᵢ − δⱼ), over frames of ½ δᵢᵀ P δᵢ + qᵀ δᵢ, and over rows of
+/// ½ w (r + Σ Jᵢ δᵢ + Kᵀ c)², where c are the common values.
 #[derive(Debug)]
 pub(crate) struct System {
-    pub(crate) pairs: Vec<(usize, usize, Block)>,
-    pub(crate) own: Vec<Block>,
+    pairs: Vec<(usize, usize, Block)>,
+    own: Vec<Block>,
+    /// Coupling of two frames by rows.
+    cross: Vec<(usize, usize, Block)>,
     pub(crate) gradient: Vec<Six>,
-    /// Coupling of the colour shift with each frame, and the block of the colour shift.
-    by_shift: [Vec<Six>; 2],
-    shift_h: [[f64; 2]; 2],
-    shift_g: [f64; 2],
+    /// Coupling of each common value with each frame, and the block of the common values.
+    by_common: [Vec<Six>; COMMON],
+    common_h: [Common; COMMON],
+    common_g: Common,
 }
 
 impl System {
@@ -26,10 +37,11 @@ impl System {
         Self {
             pairs: Vec::new(),
             own: vec![[[0.0; 6]; 6]; frames],
+            cross: Vec::new(),
             gradient: zeros.clone(),
-            by_shift: [zeros.clone(), zeros],
-            shift_h: [[0.0; 2]; 2],
-            shift_g: [0.0; 2],
+            by_common: std::array::from_fn(|_| zeros.clone()),
+            common_h: [[0.0; COMMON]; COMMON],
+            common_g: [0.0; COMMON],
         }
     }
 
@@ -41,32 +53,50 @@ impl System {
         }
         for k in 0..2 {
             for a in 0..6 {
-                self.by_shift[k][i][a] += shift.by[k][a];
-                self.by_shift[k][j][a] -= shift.by[k][a];
+                self.by_common[k][i][a] += shift.by[k][a];
+                self.by_common[k][j][a] -= shift.by[k][a];
+            }
+            self.common_g[k] += shift.g[k];
+            for l in 0..2 {
+                self.common_h[k][l] += shift.h[k][l];
             }
         }
-        self.add_shift(&shift.h, &shift.g);
         self.pairs.push((i, j, *h));
     }
 
-    /// Adds the prior of the colour shift.
-    pub(crate) fn add_shift(&mut self, h: &[[f64; 2]; 2], g: &[f64; 2]) {
-        for k in 0..2 {
-            self.shift_g[k] += g[k];
-            for l in 0..2 {
-                self.shift_h[k][l] += h[k][l];
+    /// Adds a weighted linear residual of at most two frames and the common values.
+    pub(crate) fn add_row(&mut self, row: &Row, residual: f64, weight: f64) {
+        for (k, (i, ji)) in row.frames.iter().enumerate() {
+            for a in 0..6 {
+                let wj = weight * ji[a];
+                self.gradient[*i][a] += wj * residual;
+                for b in 0..6 {
+                    self.own[*i][a][b] += wj * ji[b];
+                }
+                for (c, value) in row.common.iter().enumerate() {
+                    self.by_common[c][*i][a] += wj * value;
+                }
+            }
+            for (j, jj) in &row.frames[k + 1..] {
+                let block = std::array::from_fn(|a| std::array::from_fn(|b| weight * ji[a] * jj[b]));
+                match self.cross.last_mut().filter(|last| (last.0, last.1) == (*i, *j)) {
+                    Some((_, _, sum)) => add(sum, &block),
+                    None => self.cross.push((*i, *j, block)),
+                }
+            }
+        }
+        for (c, value) in row.common.iter().enumerate() {
+            self.common_g[c] += weight * value * residual;
+            for (d, other) in row.common.iter().enumerate() {
+                self.common_h[c][d] += weight * value * other;
             }
         }
     }
 
-    /// Adds the prior of one frame.
-    pub(crate) fn add_own(&mut self, i: usize, h: &Block, g: &Six) {
-        for a in 0..6 {
-            self.gradient[i][a] += g[a];
-            for b in 0..6 {
-                self.own[i][a][b] += h[a][b];
-            }
-        }
+    /// Adds the prior of one common value.
+    pub(crate) fn add_common(&mut self, at: usize, value: f64, weight: f64) {
+        self.common_h[at][at] += weight;
+        self.common_g[at] += weight * value;
     }
 
     fn times(&self, x: &[Six]) -> Vec<Six> {
@@ -79,51 +109,54 @@ impl System {
                 y[*j][a] -= hx[a];
             }
         }
-        y
-    }
-
-    /// Returns the minimiser: corrections of the poses and of the colour shift. The two columns of the shift are
-    /// eliminated by separate solutions, and used only if the shift is determined. `None` if a diagonal block is not
-    /// positive definite.
-    pub(crate) fn solve(&self) -> Option<(Vec<Six>, [f64; 2])> {
-        let factors = self.diagonal_factors()?;
-        let without = self.conjugate_gradients(&factors, &self.gradient);
-        let columns: [Vec<Six>; 2] =
-            std::array::from_fn(|k| self.conjugate_gradients(&factors, &self.by_shift[k]));
-        let s: [[f64; 2]; 2] = std::array::from_fn(|k| {
-            std::array::from_fn(|l| self.shift_h[k][l] - dot(&self.by_shift[k], &columns[l]))
-        });
-        let r: [f64; 2] = std::array::from_fn(|k| self.shift_g[k] - dot(&self.by_shift[k], &without));
-        let det = s[0][0] * s[1][1] - s[0][1] * s[1][0];
-        let known = det > 1e-12 * (s[0][0] * s[1][1]).abs() && s[0][0] > 0.0;
-        let shift = if known {
-            [(s[0][1] * r[1] - s[1][1] * r[0]) / det, (s[1][0] * r[0] - s[0][0] * r[1]) / det]
-        } else {
-            [0.0; 2]
-        };
-        let steps: Vec<Six> = (0..self.own.len())
-            .map(|i| {
-                std::array::from_fn(|a| {
-                    -(without[i][a] + columns[0][i][a] * shift[0] + columns[1][i][a] * shift[1])
-                })
-            })
-            .collect();
-        let finite = steps.as_flattened().iter().chain(&shift).all(|v| v.is_finite());
-        finite.then_some((steps, shift))
-    }
-
-    fn diagonal_factors(&self) -> Option<Vec<Cholesky<6>>> {
-        let mut diagonal = self.own.clone();
-        for (i, j, h) in &self.pairs {
-            for k in [*i, *j] {
-                for a in 0..6 {
-                    for b in 0..6 {
-                        diagonal[k][a][b] += h[a][b];
-                    }
+        for (i, j, h) in &self.cross {
+            for a in 0..6 {
+                for b in 0..6 {
+                    y[*i][a] += h[a][b] * x[*j][b];
+                    y[*j][b] += h[a][b] * x[*i][a];
                 }
             }
         }
-        diagonal.iter().map(|h| Cholesky::new(h, 6)).collect()
+        y
+    }
+
+    /// Returns xᵀ A x.
+    pub(crate) fn quadratic(&self, x: &[Six], common: &Common) -> f64 {
+        let frames = dot(x, &self.times(x));
+        let mut sum = frames;
+        for k in 0..COMMON {
+            sum += 2.0 * common[k] * dot(&self.by_common[k], x);
+            sum += common[k] * (0..COMMON).map(|l| self.common_h[k][l] * common[l]).sum::<f64>();
+        }
+        sum
+    }
+
+    /// Prepares solutions. `None` if a block is not positive definite.
+    pub(crate) fn inverse(&self) -> Option<Inverse<'_>> {
+        let mut diagonal = self.own.clone();
+        for (i, j, h) in &self.pairs {
+            [*i, *j].iter().for_each(|&k| add(&mut diagonal[k], h));
+        }
+        let factors: Vec<Cholesky<6>> =
+            diagonal.iter().map(|h| Cholesky::new(h, 6)).collect::<Option<_>>()?;
+        let columns: [Vec<Six>; COMMON] =
+            std::array::from_fn(|k| self.conjugate_gradients(&factors, &self.by_common[k]));
+        let mut schur = self.common_h;
+        for (k, row) in schur.iter_mut().enumerate() {
+            for (l, value) in row.iter_mut().enumerate() {
+                *value -= dot(&self.by_common[k], &columns[l]);
+            }
+        }
+        let schur = Cholesky::new(&schur, COMMON)?;
+        Some(Inverse { system: self, factors, columns, schur })
+    }
+
+    /// Returns the minimiser: corrections of the poses and of the common values. `None` if it is not determined.
+    pub(crate) fn solve(&self) -> Option<(Vec<Six>, Common)> {
+        let (mut steps, mut common) = self.inverse()?.times(&self.gradient, &self.common_g);
+        steps.as_flattened_mut().iter_mut().chain(&mut common).for_each(|v| *v = -*v);
+        let finite = steps.as_flattened().iter().chain(&common).all(|v| v.is_finite());
+        finite.then_some((steps, common))
     }
 
     /// Solves for one right side by conjugate gradients, preconditioned with the diagonal blocks. Memory and time grow
@@ -171,11 +204,81 @@ impl System {
     }
 }
 
+/// A linear function of the corrections of some frames and of the common values.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Row {
+    /// Derivatives with respect to the corrections of frames.
+    pub(crate) frames: Vec<(usize, Six)>,
+    /// Derivatives with respect to the common values.
+    pub(crate) common: Common,
+}
+
+impl Row {
+    /// Returns the value of the function.
+    pub(crate) fn of(&self, steps: &[Six], common: &Common) -> f64 {
+        let frames = self.frames.iter().map(|(i, j)| (0..6).map(|a| j[a] * steps[*i][a]).sum::<f64>());
+        frames.sum::<f64>() + (0..COMMON).map(|c| self.common[c] * common[c]).sum::<f64>()
+    }
+
+    /// Adds the function to a right side, `by` times.
+    pub(crate) fn add_to(&self, right: &mut [Six], common: &mut Common, by: f64) {
+        for (i, j) in &self.frames {
+            (0..6).for_each(|a| right[*i][a] += by * j[a]);
+        }
+        (0..COMMON).for_each(|c| common[c] += by * self.common[c]);
+    }
+}
+
+/// Solutions of a system: the covariance of its unknowns.
+pub(crate) struct Inverse<'a> {
+    system: &'a System,
+    factors: Vec<Cholesky<6>>,
+    /// Solutions for the coupling with each common value.
+    columns: [Vec<Six>; COMMON],
+    /// The block of the common values with the frames eliminated.
+    schur: Cholesky<COMMON>,
+}
+
+impl Inverse<'_> {
+    /// Multiplies a vector by the inverse.
+    pub(crate) fn times(&self, right: &[Six], common: &Common) -> (Vec<Six>, Common) {
+        let mut steps = self.system.conjugate_gradients(&self.factors, right);
+        let mut values: Common = std::array::from_fn(|k| common[k] - dot(&self.system.by_common[k], &steps));
+        self.schur.solve(&mut values);
+        for (column, value) in self.columns.iter().zip(&values) {
+            for (step, c) in steps.iter_mut().zip(column) {
+                (0..6).for_each(|a| step[a] -= c[a] * value);
+            }
+        }
+        (steps, values)
+    }
+
+    /// Returns the number of frames.
+    pub(crate) fn frames(&self) -> usize {
+        self.factors.len()
+    }
+
+    /// Returns the variance of a linear function of the unknowns.
+    #[cfg(test)]
+    pub(crate) fn variance(&self, of: &Row) -> f64 {
+        let (mut right, mut common) = (vec![[0.0; 6]; self.factors.len()], [0.0; COMMON]);
+        of.add_to(&mut right, &mut common, 1.0);
+        let (steps, values) = self.times(&right, &common);
+        of.of(&steps, &values)
+    }
+}
+
+fn add(sum: &mut Block, block: &Block) {
+    for a in 0..6 {
+        (0..6).for_each(|b| sum[a][b] += block[a][b]);
+    }
+}
+
 fn dot(a: &[Six], b: &[Six]) -> f64 {
     a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum()
 }
 
-fn product(h: &Block, x: &Six) -> Six {
+pub(crate) fn product(h: &Block, x: &Six) -> Six {
     std::array::from_fn(|a| (0..6).map(|b| h[a][b] * x[b]).sum())
 }
 
@@ -244,13 +347,15 @@ mod tests {
             }
             let mut own = random_block(&mut rng, 6);
             (0..6).for_each(|a| own[a][a] += 1.0);
-            system.add_own(i, &own, &[0.1; 6]);
+            add(&mut system.own[i], &own);
+            (0..6).for_each(|a| system.gradient[i][a] += 0.1);
             for a in 0..6 {
                 for b in 0..6 {
                     dense[6 * i + a][6 * i + b] += own[a][b];
                 }
             }
         }
+        (0..COMMON).for_each(|k| system.add_common(k, 0.0, 1.0));
         let right: Vec<f64> = system.gradient.as_flattened().iter().map(|g| -g).collect();
         let expected = dense_solve(dense, right);
         let (found, _) = system.solve().unwrap();
@@ -262,5 +367,55 @@ mod tests {
     #[test]
     fn a_frame_about_which_nothing_is_known_is_refused() {
         assert!(System::new(1).solve().is_none());
+    }
+
+    #[test]
+    fn rows_couple_frames_and_common_values_and_the_inverse_is_their_covariance() {
+        let mut rng = Seed(8).rng();
+        let mut draw = || rng.random::<f64>() - 0.5;
+        let n = 4;
+        let mut system = System::new(n);
+        // Frames first, then the common values.
+        let size = 6 * n + COMMON;
+        let (mut dense, mut right) = (vec![vec![0.0; size]; size], vec![0.0; size]);
+        let mut add_dense = |row: &Row, residual: f64, weight: f64| {
+            let mut all = vec![0.0; size];
+            row.frames.iter().for_each(|(i, j)| (0..6).for_each(|a| all[6 * i + a] += j[a]));
+            (0..COMMON).for_each(|c| all[6 * n + c] += row.common[c]);
+            for a in 0..size {
+                right[a] -= weight * all[a] * residual;
+                (0..size).for_each(|b| dense[a][b] += weight * all[a] * all[b]);
+            }
+        };
+        for i in 0..n {
+            for _ in 0..14 {
+                let j = (i + 1) % n;
+                let frames = vec![(i, std::array::from_fn(|_| draw())), (j, std::array::from_fn(|_| draw()))];
+                let row = Row { frames, common: std::array::from_fn(|_| draw()) };
+                let residual = draw();
+                system.add_row(&row, residual, 3.0);
+                add_dense(&row, residual, 3.0);
+            }
+        }
+        let expected = dense_solve(dense.clone(), right);
+        let (steps, common) = system.solve().unwrap();
+        let found: Vec<f64> = steps.as_flattened().iter().chain(&common).copied().collect();
+        for (a, b) in found.iter().zip(&expected) {
+            assert!((a - b).abs() < 1e-6, "{found:?} {expected:?}");
+        }
+        let of = Row {
+            frames: vec![(1, std::array::from_fn(|_| draw()))],
+            common: std::array::from_fn(|_| draw()),
+        };
+        let mut unit = vec![0.0; size];
+        (0..6).for_each(|a| unit[6 + a] = of.frames[0].1[a]);
+        (0..COMMON).for_each(|c| unit[6 * n + c] = of.common[c]);
+        let solved = dense_solve(dense, unit.clone());
+        let expected: f64 = solved.iter().zip(&unit).map(|(a, b)| a * b).sum();
+        let inverse = system.inverse().unwrap();
+        assert!((inverse.variance(&of) / expected - 1.0).abs() < 1e-6);
+        let (x, c) = inverse.times(&system.gradient, &[0.0; COMMON]);
+        let product: f64 = dot(&x, &system.gradient);
+        assert!((system.quadratic(&x, &c) / product - 1.0).abs() < 1e-6);
     }
 }

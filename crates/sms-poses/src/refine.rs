@@ -1,12 +1,16 @@
 //! The refinement: all poses at once, from coarse to fine images.
 
 use crate::PosesConfig;
-use crate::align::{add_row, align_rigidly, lever, moved_about};
+use crate::align::{align_rigidly, moved_about};
+use crate::covariance::Covariance;
+use crate::floor::{PairFloor, PairForm};
+use crate::given::{GivenNoise, GivenPoses, hand_eye_after};
 use crate::graph::{Graph, choose_pairs};
-use crate::linear::{Block, Six, System};
-use crate::residual::{
-    Arc, Brightness, Histogram, LinearisationPoint, PairSums, ResidualStats, ShiftSums, Weighing, linearise,
-};
+use crate::histogram::{Histogram, ResidualStats};
+use crate::linear::{HAND_EYE, Six, System};
+use crate::pair::{PairSums, ShiftSums};
+use crate::residual::{Arc, Brightness, LinearisationPoint, Phase, Weighing, linearise};
+use crate::size::SizeUncertainty;
 use crate::views::{Point, PreparedFrame};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
@@ -21,15 +25,53 @@ pub(crate) struct BundleAdjustment<'a> {
     pub(crate) config: &'a PosesConfig,
     /// Centre of rotation of the corrections.
     pub(crate) center_w: DVec3,
+    /// Distance of the measured points from it (root mean square), metres.
+    arm_m: f64,
 }
 
 /// The values that the refinement estimates, and the weights of its next iteration.
 struct RefinementState {
+    /// The frames with the present normals.
+    views: Vec<PreparedFrame>,
     poses: Vec<DPose3>,
+    /// Correction of the hand-eye pose: `given · hand_eye` is near the pose of the camera.
+    hand_eye: DPose3,
     /// Shift of the colour against the depth, pixels at loaded size.
     color_shift: [f64; 2],
+    phase: Phase,
     arcs: Vec<Arc>,
     weighing: Weighing,
+    floor: PairFloor,
+    noise: GivenNoise,
+}
+
+/// The result of a refinement.
+pub(crate) struct Refined {
+    pub(crate) poses: Vec<DPose3>,
+    /// Shift of the colour against the depth, pixels at loaded size.
+    pub(crate) color_shift_px: [f64; 2],
+    pub(crate) hand_eye: DPose3,
+    pub(crate) noise: GivenNoise,
+    pub(crate) floor: PairFloor,
+    /// `None` if it cannot be computed.
+    pub(crate) uncertainty: Option<SizeUncertainty>,
+    pub(crate) iterations: usize,
+}
+
+/// Rounds of estimating the noise and refining with it.
+const NOISE_ROUNDS: usize = 2;
+/// Steps of expectation maximisation in a round.
+const NOISE_STEPS: usize = 4;
+/// Size of the smallest cells of the surface, pixels of the finest level: two points of a frame are two pixels apart.
+const CELL_PX: f64 = 1.5;
+/// Weight of a value that is not estimated.
+const HELD: f64 = 1e12;
+/// Standard deviations beyond which a colour shift is not chance.
+const SIGNIFICANT: f64 = 3.0;
+
+/// Returns the weight of a prior; a value with the deviation 0 is held.
+fn weight_of(sigma: f64) -> f64 {
+    if sigma > 0.0 { sigma.powi(-2).min(HELD) } else { HELD }
 }
 
 pub(crate) fn arcs(pairs: &[(usize, usize)]) -> Vec<Arc> {
@@ -43,15 +85,18 @@ pub(crate) fn arcs(pairs: &[(usize, usize)]) -> Vec<Arc> {
 impl<'a> BundleAdjustment<'a> {
     pub(crate) fn new(views: &'a [PreparedFrame], given: &'a [DPose3], config: &'a PosesConfig) -> Self {
         let mut sum = DVec3::ZERO;
-        let mut count = 0usize;
+        let (mut square, mut count) = (0.0, 0usize);
         for (view, x) in views.iter().zip(given) {
             for point in view.points(view.luma.len() - 1, 2.0, [0.5, 0.5], [0.0; 2], config) {
-                sum += x.transform_point(point.p_c);
+                let p_w = x.transform_point(point.p_c);
+                sum += p_w;
+                square += p_w.length_squared();
                 count += 1;
             }
         }
         let center_w = if count > 0 { sum / count as f64 } else { DVec3::ZERO };
-        Self { views, given, graph: choose_pairs(views, given, config), config, center_w }
+        let arm_m = (square / count.max(1) as f64 - center_w.length_squared()).max(0.0).sqrt();
+        Self { views, given, graph: choose_pairs(views, given, config), config, center_w, arm_m }
     }
 
     /// Returns the frames without a pair; only the prior constrains them.
@@ -69,32 +114,90 @@ impl<'a> BundleAdjustment<'a> {
 
     pub(crate) fn linearise_all(
         &self,
+        views: &[PreparedFrame],
         arcs: &[Arc],
         points: &[Vec<Point>],
         at: LinearisationPoint<'_>,
         weighing: &Weighing,
     ) -> Vec<PairSums> {
         let sums = |arc: &Arc| {
-            let (points, into) = (&points[arc.from], &self.views[arc.to]);
+            let (points, into) = (&points[arc.from], &views[arc.to]);
             linearise(points, into, arc, at, self.center_w, weighing, self.config)
         };
         arcs.par_iter().map(sums).collect()
     }
 
-    /// Adds the prior at the given pose: rotation and camera position, each with its standard deviation.
-    fn add_prior(&self, system: &mut System, frame: usize, pose: &DPose3) {
-        let given = &self.given[frame];
-        let turned = (pose.rotation * given.rotation.inverse()).to_scaled_axis();
-        let shifted = pose.translation - given.translation;
-        let arm = pose.translation - self.center_w;
-        let (wr, wt) = (self.config.prior_rotation_rad.powi(-2), self.config.prior_position_m.powi(-2));
-        let (mut h, mut g): (Block, Six) = ([[0.0; 6]; 6], [0.0; 6]);
-        for axis in 0..3 {
-            h[axis][axis] += wr;
-            g[axis] += wr * turned[axis];
-            add_row(&mut h, &mut g, &lever(arm, DVec3::AXES[axis]), shifted[axis], wt);
+    fn given_poses(&self) -> GivenPoses<'_> {
+        GivenPoses { poses: self.given, center_w: self.center_w }
+    }
+
+    /// Replaces the normals by those of all frames together.
+    fn fuse_normals(&self, estimate: &mut RefinementState) {
+        let points: Vec<Vec<Point>> = self
+            .views
+            .par_iter()
+            .map(|v| v.points(0, self.config.point_stride, [0.5, 0.5], [0.0; 2], self.config))
+            .collect();
+        let cell_m = CELL_PX * self.pixel_at_scene_m(0);
+        let map = crate::planes::PlaneMap::new(&points, &estimate.poses, self.center_w, cell_m);
+        let poses = &estimate.poses;
+        estimate.views.par_iter_mut().zip(poses).for_each(|(v, x)| map.apply(v, x));
+    }
+
+    /// Linearises all pairs at the estimate; returns the sums of both directions of each.
+    fn pass(&self, level: usize, estimate: &RefinementState) -> Vec<PairSums> {
+        let shift = estimate.color_shift;
+        let points: Vec<Vec<Point>> = estimate
+            .views
+            .par_iter()
+            .map(|v| v.points(level, self.config.point_stride, [0.5, 0.5], shift, self.config))
+            .collect();
+        let phase = estimate.phase;
+        let at = LinearisationPoint { level, poses: &estimate.poses, color_shift: shift, phase };
+        self.linearise_all(&estimate.views, &estimate.arcs, &points, at, &estimate.weighing)
+    }
+
+    /// Returns the quadratic form of each pair of frames. Gain and offset are eliminated.
+    fn forms(&self, sums: &[PairSums]) -> Vec<PairForm> {
+        let share = self.config.independent_share;
+        let scaled = |s: Six| s.map(|v| share * v);
+        let of = |pair: &PairSums| {
+            let (h, g, shift) = pair.reduced();
+            let shift = ShiftSums {
+                by: shift.by.map(scaled),
+                h: shift.h.map(|r| r.map(|v| share * v)),
+                g: shift.g.map(|v| share * v),
+            };
+            PairForm { h: h.map(scaled), g: scaled(g), shift }
+        };
+        sums.chunks_exact(2).map(|both| of(&both[0]).with_reverse(&of(&both[1]))).collect()
+    }
+
+    /// Returns the linear system of all corrections.
+    fn system(&self, forms: &[PairForm], estimate: &RefinementState, shift_is_free: [bool; 2]) -> System {
+        let mut system = self.prior(estimate, shift_is_free);
+        for (&(i, j), form) in self.graph.pairs.iter().zip(forms) {
+            let PairForm { h, g, shift } = estimate.floor.applied(form);
+            system.add_pair(i, j, &h, &g, &shift);
         }
-        system.add_own(frame, &h, &g);
+        system
+    }
+
+    /// Returns the part of the system that no pair contributes to: the given poses and the common values.
+    fn prior(&self, estimate: &RefinementState, shift_is_free: [bool; 2]) -> System {
+        let config = self.config;
+        let mut system = System::new(estimate.poses.len());
+        // A shift that is not estimated is held constant.
+        let weight = |is_free| if is_free { config.prior_color_shift_px.powi(-2) } else { HELD };
+        (0..2).for_each(|k| system.add_common(k, estimate.color_shift[k], weight(shift_is_free[k])));
+        let turn = estimate.hand_eye.rotation.to_scaled_axis();
+        let shift = estimate.hand_eye.translation;
+        for k in 0..3 {
+            system.add_common(HAND_EYE + k, turn[k], weight_of(config.prior_hand_eye_rad));
+            system.add_common(HAND_EYE + 3 + k, shift[k], weight_of(config.prior_hand_eye_m));
+        }
+        self.given_poses().add_to(&mut system, &estimate.poses, &estimate.hand_eye, &estimate.noise);
+        system
     }
 
     /// Runs Gauss-Newton with robust weights at one level. Returns the number of iterations.
@@ -102,42 +205,22 @@ impl<'a> BundleAdjustment<'a> {
         &self,
         level: usize,
         estimate: &mut RefinementState,
-        shift_is_free: bool,
+        shift_is_free: [bool; 2],
         cancel: &Cancel,
         mut tick: impl FnMut(&str),
     ) -> Result<usize, CoreError> {
-        let RefinementState { poses, color_shift, arcs, weighing } = estimate;
         let config = self.config;
         let pixel_m = self.pixel_at_scene_m(level);
         for iteration in 0..config.iterations[level] {
             cancel.check()?;
-            let points: Vec<Vec<Point>> = self
-                .views
-                .par_iter()
-                .map(|v| v.points(level, config.point_stride, [0.5, 0.5], *color_shift, config))
-                .collect();
-            let at = LinearisationPoint { level, poses, color_shift: *color_shift };
-            let sums = self.linearise_all(arcs, &points, at, weighing);
-            let mut system = System::new(poses.len());
-            let share = config.independent_share;
-            for (arc, pair) in arcs.iter().zip(&sums) {
-                let (h, g, shift) = pair.reduced();
-                let scaled = |s: Six| s.map(|v| share * v);
-                let shift = ShiftSums {
-                    by: shift.by.map(scaled),
-                    h: shift.h.map(|r| r.map(|v| share * v)),
-                    g: shift.g.map(|v| share * v),
-                };
-                system.add_pair(arc.from, arc.to, &h.map(scaled), &scaled(g), &shift);
-            }
-            // A shift that is not estimated is held constant.
-            let w = if shift_is_free { config.prior_color_shift_px.powi(-2) } else { 1e12 };
-            system.add_shift(&[[w, 0.0], [0.0, w]], &color_shift.map(|d| w * d));
-            for (frame, pose) in poses.iter().enumerate() {
-                self.add_prior(&mut system, frame, pose);
-            }
-            let Some((steps, shift_step)) = system.solve() else { return Ok(iteration) };
+            let sums = self.pass(level, estimate);
+            let forms = self.forms(&sums);
+            let system = self.system(&forms, estimate, shift_is_free);
+            let Some((steps, common)) = system.solve() else { return Ok(iteration) };
+            let shift_step = [common[0], common[1]];
+            let RefinementState { poses, color_shift, arcs, .. } = estimate;
             (0..2).for_each(|k| color_shift[k] += shift_step[k]);
+            estimate.hand_eye = hand_eye_after(&estimate.hand_eye, &common);
             let mut largest = 0.0f64;
             for (pose, step) in poses.iter_mut().zip(&steps) {
                 let moved = moved_about(self.center_w, step) * *pose;
@@ -149,7 +232,7 @@ impl<'a> BundleAdjustment<'a> {
                 let delta: Six = std::array::from_fn(|a| steps[arc.from][a] - steps[arc.to][a]);
                 arc.brightness = pair.brightness_after(&delta, shift_step, arc.brightness);
             }
-            *weighing = self.weighing_after(&sums, weighing);
+            estimate.weighing = self.weighing_after(&sums, &estimate.weighing);
             tick(&format!("step {:.2} mm", 1e3 * largest));
             // Smaller steps do not change the associated pixels.
             if largest < 0.02 * pixel_m {
@@ -157,6 +240,19 @@ impl<'a> BundleAdjustment<'a> {
             }
         }
         Ok(config.iterations[level])
+    }
+
+    /// Estimates the noise floor of the pairs and the noise of the given poses from the converged estimate.
+    fn estimate_noise(&self, level: usize, estimate: &mut RefinementState, shift_is_free: [bool; 2]) {
+        let forms = self.forms(&self.pass(level, estimate));
+        let unknown = 6 * estimate.poses.len().saturating_sub(1);
+        estimate.floor = PairFloor::fitted(&forms, self.arm_m, unknown);
+        for _ in 0..NOISE_STEPS {
+            let system = self.system(&forms, estimate, shift_is_free);
+            let Some(inverse) = system.inverse() else { return };
+            estimate.noise =
+                self.given_poses().noise_after(&inverse, &estimate.poses, &estimate.hand_eye, self.config);
+        }
     }
 
     /// Returns the size of one pixel of a level at the scene, metres.
@@ -189,45 +285,91 @@ impl<'a> BundleAdjustment<'a> {
         }
     }
 
-    /// Refines all poses. Returns them with the shift of colour against depth (pixels at loaded size) and the number
-    /// of iterations done.
-    pub(crate) fn run(
-        &self,
-        progress: &dyn Progress,
-        cancel: &Cancel,
-    ) -> Result<(Vec<DPose3>, [f64; 2], usize), CoreError> {
+    /// Refines all poses: from coarse to fine images, then with the noise that the result shows.
+    pub(crate) fn run(&self, progress: &dyn Progress, cancel: &Cancel) -> Result<Refined, CoreError> {
         let levels = self.views.first().map_or(0, |v| v.luma.len());
         let planned: usize = self.config.iterations[..levels].iter().sum();
         progress.begin("poses", planned as u64);
         let mut estimate = RefinementState {
+            views: self.views.to_vec(),
             poses: self.given.to_vec(),
+            hand_eye: DPose3::identity(),
             color_shift: [0.0; 2],
+            phase: Phase::Approach,
             arcs: arcs(&self.graph.pairs),
             weighing: Weighing { depth_scale: 10.0, color_scale: 4.0, gate_m: self.widest_gate_m() },
+            floor: PairFloor::default(),
+            noise: GivenNoise::configured(self.config),
         };
         let (mut done, mut iterations) = (0, 0);
-        let free = self.config.prior_color_shift_px > 0.0;
+        let mut free = [self.config.prior_color_shift_px > 0.0; 2];
         for level in (0..levels).rev() {
             let mut at = done;
             let tick = |message: &str| {
                 at += 1;
                 progress.update(at as u64, message);
             };
+            self.fuse_normals(&mut estimate);
             iterations += self.refine_level(level, &mut estimate, free, cancel, tick)?;
             done += self.config.iterations[level];
         }
-        // Registered cameras also give a shift of some tenths of a pixel; applying it makes results worse.
-        const LEAST_SHIFT_PX: f64 = 0.75;
-        let [du, dv] = estimate.color_shift;
-        if free && du.hypot(dv) < LEAST_SHIFT_PX {
-            estimate.color_shift = [0.0; 2];
-            for level in (0..levels.min(2)).rev() {
-                let tick = |message: &str| progress.update(done as u64, message);
-                iterations += self.refine_level(level, &mut estimate, false, cancel, tick)?;
+        estimate.phase = Phase::Estimate;
+        for _ in 0..if levels > 0 { NOISE_ROUNDS } else { 0 } {
+            self.estimate_noise(0, &mut estimate, free);
+            let is_shifted = self.is_shifted(&estimate, free);
+            for k in 0..2 {
+                free[k] &= is_shifted[k];
+                estimate.color_shift[k] *= f64::from(u8::from(free[k]));
             }
-            estimate.color_shift = [0.0; 2];
+            self.fuse_normals(&mut estimate);
+            let tick = |message: &str| progress.update(done as u64, message);
+            iterations += self.refine_level(0, &mut estimate, free, cancel, tick)?;
         }
-        Ok((self.in_place(&estimate.poses), estimate.color_shift, iterations))
+        let uncertainty = if levels > 0 { self.uncertainty(&estimate, free) } else { None };
+        Ok(Refined {
+            poses: self.in_place(&estimate.poses),
+            color_shift_px: estimate.color_shift,
+            hand_eye: estimate.hand_eye,
+            noise: estimate.noise,
+            floor: estimate.floor,
+            uncertainty,
+            iterations,
+        })
+    }
+
+    /// Evaluates the covariance at the converged estimate; `None` if it is not determined.
+    fn with_covariance<T>(
+        &self,
+        estimate: &RefinementState,
+        shift_is_free: [bool; 2],
+        f: impl FnOnce(&Covariance<'_>) -> T,
+    ) -> Option<T> {
+        let raw = self.forms(&self.pass(0, estimate));
+        let system = self.system(&raw, estimate, shift_is_free);
+        let prior = self.prior(estimate, shift_is_free);
+        let forms: Vec<PairForm> = raw.iter().map(|form| estimate.floor.applied(form)).collect();
+        let inverse = system.inverse()?;
+        let pairs = &self.graph.pairs;
+        Some(f(&Covariance { inverse: &inverse, prior: &prior, pairs, forms: &forms }))
+    }
+
+    /// Returns whether the colour is shifted against the depth along x and y by more than chance, and by more than the error
+    /// that all points may share: shading that changes with the view, and depth that is wrong at edges.
+    fn is_shifted(&self, estimate: &RefinementState, shift_is_free: [bool; 2]) -> [bool; 2] {
+        let sigmas = self.with_covariance(estimate, shift_is_free, |c| [0, 1].map(|k| c.common_sigma(k)));
+        let slip_px = self.config.color_slip_px * self.views.first().map_or(1.0, |v| v.scale(0));
+        let is_more = |k: usize, s: f64| estimate.color_shift[k].abs() > SIGNIFICANT * s.hypot(slip_px);
+        sigmas.map_or([false; 2], |s| [0, 1].map(|k| is_more(k, s[k])))
+    }
+
+    /// Returns the uncertainty of the scene's size.
+    fn uncertainty(&self, estimate: &RefinementState, shift_is_free: [bool; 2]) -> Option<SizeUncertainty> {
+        let coarse = self.views.first()?.luma.len() - 1;
+        let points: Vec<Vec<Point>> =
+            self.views.iter().map(|v| v.points(coarse, 1.0, [0.5; 2], [0.0; 2], self.config)).collect();
+        self.with_covariance(estimate, shift_is_free, |covariance| {
+            SizeUncertainty::of(covariance, &estimate.poses, &points, self.center_w)
+        })
     }
 
     /// Removes the common rigid motion: aligns the measured points with their positions under the given poses, so that

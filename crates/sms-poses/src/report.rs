@@ -1,6 +1,8 @@
 //! The report of a refinement.
 
-use crate::Judgement;
+use crate::given::GivenNoise;
+use crate::{Judgement, SizeUncertainty};
+use glamx::DPose3;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
 
@@ -13,6 +15,47 @@ pub struct PoseCorrection {
     pub shift_m: f64,
     /// Angle by which it was turned, radians.
     pub turn_rad: f64,
+}
+
+/// The correction that all frames share, as of the pose of the camera on the body whose poses were given.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct HandEye {
+    /// Shift of the camera in its own axes, metres.
+    pub shift_m: [f64; 3],
+    /// Rotation vector in its own axes, radians.
+    pub turn_rad: [f64; 3],
+}
+
+impl HandEye {
+    pub(crate) fn of(pose: &DPose3) -> Self {
+        Self { shift_m: pose.translation.to_array(), turn_rad: pose.rotation.to_scaled_axis().to_array() }
+    }
+}
+
+/// Estimated standard deviations of the given poses per axis, after the correction that they share.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct GivenSigma {
+    /// Of a position, metres.
+    pub position_m: f64,
+    /// Of a rotation, radians.
+    pub rotation_rad: f64,
+    /// Of the change of the position between consecutive frames, metres; `None` if it is not more certain than the
+    /// positions.
+    pub step_m: Option<f64>,
+    /// Of the change of the rotation between consecutive frames, radians.
+    pub step_rad: Option<f64>,
+}
+
+impl GivenSigma {
+    pub(crate) fn of(noise: &GivenNoise) -> Self {
+        let step = |precision: f64| (precision > 0.0).then(|| precision.powf(-0.5));
+        Self {
+            position_m: noise.frame[1].powf(-0.5),
+            rotation_rad: noise.frame[0].powf(-0.5),
+            step_m: step(noise.step[1]),
+            step_rad: step(noise.step[0]),
+        }
+    }
 }
 
 /// The decision on the poses.
@@ -41,6 +84,18 @@ pub struct PoseReport {
     pub iterations: usize,
     /// Estimated shift of the colour against the depth, pixels at loaded size (right, down).
     pub color_shift_px: [f64; 2],
+    /// The correction that all frames share.
+    #[serde(default)]
+    pub hand_eye: HandEye,
+    /// Noise of the given poses.
+    #[serde(default)]
+    pub given_sigma: GivenSigma,
+    /// Standard deviation of the registration of two frames beyond the noise of their points, metres.
+    #[serde(default)]
+    pub pair_floor_m: f64,
+    /// Uncertainty of the scene's size.
+    #[serde(default)]
+    pub size: SizeUncertainty,
     /// Correction of each frame.
     pub corrections: Vec<PoseCorrection>,
     /// Comparison of given and refined poses on held-out pairs.

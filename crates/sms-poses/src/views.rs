@@ -5,17 +5,24 @@ use crate::luma::{Luma, half, luma, sample};
 use glamx::{DVec3, Vec3};
 use rayon::prelude::*;
 use sms_core::Intrinsics;
-use sms_frames::{DepthNoise, Frame, Sequence};
+use sms_frames::{Frame, Sequence, normals_from_depth};
 
 /// Depth and surface direction at one pixel; `z` is 0 without a measurement, `n` without a direction.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct SurfaceSample {
     pub(crate) z: f32,
     pub(crate) n: [f32; 3],
+    /// Whether the surroundings are flat within their noise.
+    pub(crate) is_flat: bool,
+    /// Standard deviation of the depth, metres, at the mean depth of the neighbourhood. A weight that followed the measured
+    /// depth would prefer points that seem near: by 4σ²/z.
+    pub(crate) sigma_z_m: f32,
+    /// Whether a depth edge is near, where a point may be compared with another surface.
+    pub(crate) at_edge: bool,
 }
 
 /// One frame prepared for comparison.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct PreparedFrame {
     pub(crate) intrinsics: Intrinsics,
     /// Surface at each pixel of the loaded size.
@@ -33,24 +40,37 @@ pub(crate) struct Point {
     pub(crate) p_c: DVec3,
     /// Surface normal in the frame's camera; zero where unknown.
     pub(crate) n_c: DVec3,
+    /// Whether the surroundings are flat within their noise.
+    pub(crate) is_flat: bool,
+    /// Whether a depth edge is near.
+    pub(crate) at_edge: bool,
     /// Standard deviation of the position along the normal, metres.
     pub(crate) sigma_m: f64,
     /// Brightness at the level.
     pub(crate) luma: f64,
-    /// Derivative of the brightness along the image, levels per pixel of the level.
-    pub(crate) slope: [f64; 2],
+    /// Derivative of the brightness with respect to the position in the frame's camera, levels per metre.
+    pub(crate) luma_by_p: DVec3,
+    /// Size of a pixel at the point, metres.
+    pub(crate) pixel_m: [f64; 2],
     /// Whether the neighbourhood has enough gradient for comparison by colour.
     pub(crate) textured: bool,
 }
 
 impl PreparedFrame {
-    fn new(frame: &Frame, levels: usize, halvings: usize) -> Self {
+    fn new(frame: &Frame, levels: usize, halvings: usize, config: &PosesConfig) -> Self {
         // Values that are not finite count as not measured.
         let surface = |(&z, &n): (&f32, &[f32; 3])| SurfaceSample {
             z: if z.is_finite() { z.max(0.0) } else { 0.0 },
             n: if n.iter().all(|v| v.is_finite()) { n } else { [0.0; 3] },
+            is_flat: true,
+            sigma_z_m: 0.0,
+            at_edge: false,
         };
-        let surface = frame.depth.data.iter().zip(&frame.normal_c.data).map(surface).collect();
+        let k = &frame.camera.intrinsics;
+        let normals = normals_from_depth(&frame.depth, k, &config.noise, config.normal_radius_px);
+        let mut all: Vec<SurfaceSample> = frame.depth.data.iter().zip(&normals.data).map(surface).collect();
+        set_sigmas(&mut all, k, config);
+        let surface = with_edges(&all, &frame.camera.intrinsics, config);
         let mut finest = luma(&frame.color);
         for _ in 0..halvings {
             finest = half(&finest);
@@ -106,12 +126,18 @@ impl PreparedFrame {
                 let n_c = Vec3::from(s.n).as_dvec3();
                 let sampled =
                     sample(&self.luma[level], (u + color_shift[0]) / scale, (v + color_shift[1]) / scale);
+                let pixel_m = [z / k.fx, z / k.fy];
+                let slope =
+                    sampled.map_or([0.0; 2], |s| [s.1 / scale / pixel_m[0], s.2 / scale / pixel_m[1]]);
                 points.push(Point {
                     p_c,
                     n_c,
-                    sigma_m: sigma_along_normal(&config.noise, p_c, n_c),
+                    is_flat: s.is_flat,
+                    sigma_m: sigma_along_normal(s.sigma_z_m.into(), p_c, n_c),
                     luma: sampled.map_or(0.0, |s| s.0),
-                    slope: sampled.map_or([0.0; 2], |s| [s.1, s.2]),
+                    luma_by_p: DVec3::new(slope[0], slope[1], -(slope[0] * p_c.x + slope[1] * p_c.y) / z),
+                    pixel_m,
+                    at_edge: s.at_edge,
                     textured: sampled.is_some_and(|s| s.1.hypot(s.2) >= config.min_gradient),
                 });
             }
@@ -120,10 +146,74 @@ impl PreparedFrame {
     }
 }
 
+/// Sets the noise of each measurement from the mean inverse depth of its neighbourhood on the same surface, which is exact
+/// for planes.
+fn set_sigmas(all: &mut [SurfaceSample], k: &Intrinsics, config: &PosesConfig) {
+    let (w, h, reach) = (k.width as i64, k.height as i64, config.normal_radius_px as i64);
+    let inverse: Vec<f64> = all.iter().map(|s| if s.z > 0.0 { 1.0 / f64::from(s.z) } else { 0.0 }).collect();
+    let sigma = |i: usize| {
+        let (x, y) = ((i % k.width) as i64, (i / k.width) as i64);
+        let own = inverse[i];
+        // Neighbours in opposite pairs, so that a slope cancels.
+        let (mut sum, mut count) = (own, 1.0);
+        for dy in -reach..=reach {
+            for dx in 0..=reach {
+                if dx == 0 && dy <= 0 {
+                    continue;
+                }
+                let at = |u: i64, v: i64| {
+                    if u < 0 || v < 0 || u >= w || v >= h { 0.0 } else { inverse[(v * w + u) as usize] }
+                };
+                let (a, b) = (at(x + dx, y + dy), at(x - dx, y - dy));
+                // A pair across an edge has another mean.
+                if a > 0.0 && b > 0.0 && (0.5 * (a + b) - own).abs() < 0.03 * own {
+                    sum += a + b;
+                    count += 2.0;
+                }
+            }
+        }
+        config.noise.sigma_m(count / sum) as f32
+    };
+    let sigmas: Vec<f32> = (0..all.len()).map(|i| if all[i].z > 0.0 { sigma(i) } else { 0.0 }).collect();
+    all.iter_mut().zip(sigmas).for_each(|(s, sigma)| s.sigma_z_m = sigma);
+}
+
+/// Marks the measurements beside depth edges: those with a neighbour within [`PosesConfig::edge_px`] off their plane by
+/// more than noise.
+fn with_edges(all: &[SurfaceSample], k: &Intrinsics, config: &PosesConfig) -> Vec<SurfaceSample> {
+    /// Deviations from a plane beyond this many standard deviations are edges.
+    const EDGE_SIGMA: f64 = 6.0;
+    let (w, h) = (k.width as i64, k.height as i64);
+    let reach = config.edge_px as i64;
+    let position = |x: i64, y: i64, z: f64| {
+        DVec3::new((x as f64 + 0.5 - k.cx) / k.fx * z, (y as f64 + 0.5 - k.cy) / k.fy * z, z)
+    };
+    let is_edge = |x: i64, y: i64, own: &SurfaceSample| {
+        let (z, n) = (f64::from(own.z), Vec3::from(own.n).as_dvec3());
+        let p = position(x, y, z);
+        let most = EDGE_SIGMA * config.noise.sigma_m(z);
+        (1..=reach).any(|d| {
+            [(d, 0), (-d, 0), (0, d), (0, -d), (d, d), (-d, d), (d, -d), (-d, -d)].iter().any(|(dx, dy)| {
+                let (u, v) = (x + dx, y + dy);
+                if u < 0 || v < 0 || u >= w || v >= h {
+                    return false;
+                }
+                let other = f64::from(all[(v * w + u) as usize].z);
+                other > 0.0 && n.dot(position(u, v, other) - p).abs() > most
+            })
+        })
+    };
+    let kept = |(i, own): (usize, &SurfaceSample)| {
+        let (x, y) = ((i % k.width) as i64, (i / k.width) as i64);
+        SurfaceSample { at_edge: own.z > 0.0 && is_edge(x, y, own), ..*own }
+    };
+    all.iter().enumerate().map(kept).collect()
+}
+
 /// Returns the standard deviation of a point along its normal, from depth noise along the ray. Viewing angles below
 /// about 12° count as 12°, because other errors than noise dominate there.
-pub(crate) fn sigma_along_normal(noise: &DepthNoise, p_c: DVec3, n_c: DVec3) -> f64 {
-    noise.sigma_m(p_c.z) * (n_c.dot(p_c) / p_c.z).abs().max(0.2)
+pub(crate) fn sigma_along_normal(sigma_z_m: f64, p_c: DVec3, n_c: DVec3) -> f64 {
+    sigma_z_m * (n_c.dot(p_c) / p_c.z).abs().max(0.2)
 }
 
 /// Prepares all frames, with as many levels as their size allows, up to the configured number.
@@ -134,5 +224,5 @@ pub(crate) fn views(sequence: &Sequence, config: &PosesConfig) -> Vec<PreparedFr
     let halvings = (0..8usize).find(|h| long >> h <= config.finest_long_side.max(16)).unwrap_or(8);
     let fitting =
         (1..config.iterations.len().max(1)).take_while(|l| short >> (halvings + l) >= LEAST_SIDE).count();
-    sequence.frames.par_iter().map(|f| PreparedFrame::new(f, 1 + fitting, halvings)).collect()
+    sequence.frames.par_iter().map(|f| PreparedFrame::new(f, 1 + fitting, halvings, config)).collect()
 }

@@ -8,7 +8,7 @@ mod table;
 pub use disturbed::PoseFault;
 pub use measures::{BoxErrors, box_errors, center_scale};
 pub use scene::{Orbit, OrbitKind};
-pub use table::{OrbitRow, orbit_metrics, orbit_table};
+pub use table::{OrbitRow, Sigmas, orbit_metrics, orbit_table};
 
 use crate::BenchError;
 use glamx::DPose3;
@@ -41,6 +41,7 @@ pub fn refine_orbit(
         faces_before: box_errors(orbit, &poses_of(&given)),
         faces: box_errors(orbit, &refined_poses),
         is_improved: refined.report.verdict == PoseVerdict::Refined && refined.report.judgement.improved(),
+        sigmas: Sigmas::of(&refined.report.size),
         seconds,
     })
 }

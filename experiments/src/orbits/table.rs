@@ -2,6 +2,7 @@
 
 use super::{BoxErrors, OrbitKind, PoseFault};
 use sms_core::metrics::Metrics;
+use sms_poses::SizeUncertainty;
 use std::collections::BTreeMap;
 
 /// The result of one orbit.
@@ -17,11 +18,39 @@ pub struct OrbitRow {
     pub faces_before: BoxErrors,
     /// Errors of the box with the refined poses.
     pub faces: BoxErrors,
+    /// Their standard deviations as stated.
+    pub sigmas: Sigmas,
     /// Whether the refined poses are judged better.
     pub is_improved: bool,
     /// Time of the refinement.
     pub seconds: f64,
 }
+
+/// Stated standard deviations; `None` where none is stated.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Sigmas {
+    /// Of the scale of the camera centres.
+    pub scale: Option<f64>,
+    /// Of the distance between the faces across x, metres.
+    pub width_m: Option<f64>,
+    /// Of the distance between the faces across y, metres.
+    pub depth_m: Option<f64>,
+}
+
+impl Sigmas {
+    /// Takes them from the report of a refinement.
+    pub fn of(size: &SizeUncertainty) -> Self {
+        let across = |axis: usize| {
+            let found = size.extents.iter().find(|e| e.direction_w[axis].abs() > 0.999);
+            found.map(|e| e.sigma_m)
+        };
+        let scale = (size.scale_sigma > 0.0).then_some(size.scale_sigma);
+        Self { scale, width_m: across(0), depth_m: across(1) }
+    }
+}
+
+/// Half of a 90 % interval of a normal value, in standard deviations.
+const NINETY: f64 = 1.645;
 
 type Groups<'a> = BTreeMap<(OrbitKind, PoseFault), Vec<&'a OrbitRow>>;
 
@@ -40,20 +69,35 @@ fn mean_and_rms(values: impl Iterator<Item = f64>) -> (f64, f64) {
 }
 
 /// Figures of each scene and fault, in the order of [`COLUMNS`].
-fn figures(rows: &[&OrbitRow]) -> [(&'static str, f64); 9] {
+fn figures(rows: &[&OrbitRow]) -> [(&'static str, f64); 13] {
     let of = |f: fn(&OrbitRow) -> f64| mean_and_rms(rows.iter().map(|r| f(r)));
     let (scale_bias, scale_rms) = of(|r| r.scale - 1.0);
     let (width_bias_m, width_rms_m) = of(|r| r.faces.width_m);
     let (depth_bias_m, depth_rms_m) = of(|r| r.faces.depth_m);
     let improved = rows.iter().filter(|r| r.is_improved).count() as f64 / rows.len().max(1) as f64;
+    // The share of the errors within the stated 90 % intervals, of scale, width and depth together.
+    let stated = rows.iter().flat_map(|r| {
+        let s = r.sigmas;
+        [(r.scale - 1.0, s.scale), (r.faces.width_m, s.width_m), (r.faces.depth_m, s.depth_m)]
+    });
+    let held: Vec<bool> = stated.filter_map(|(e, s)| Some(e.abs() <= NINETY * s?)).collect();
+    let coverage = held.iter().filter(|h| **h).count() as f64 / held.len() as f64;
+    let sigma = |f: fn(&Sigmas) -> Option<f64>| {
+        let all: Vec<f64> = rows.iter().filter_map(|r| f(&r.sigmas)).collect();
+        all.iter().sum::<f64>() / all.len() as f64
+    };
     [
         ("scale_bias", scale_bias),
         ("scale_rms", scale_rms),
+        ("scale_sigma", sigma(|s| s.scale)),
         ("width_before_rms_m", of(|r| r.faces_before.width_m).1),
         ("width_bias_m", width_bias_m),
         ("width_rms_m", width_rms_m),
+        ("width_sigma_m", sigma(|s| s.width_m)),
         ("depth_bias_m", depth_bias_m),
         ("depth_rms_m", depth_rms_m),
+        ("depth_sigma_m", sigma(|s| s.depth_m)),
+        ("coverage", coverage),
         ("improved_share", improved),
         ("seconds", of(|r| r.seconds).0),
     ]
@@ -73,14 +117,18 @@ pub fn orbit_metrics(rows: &[OrbitRow]) -> Metrics {
 }
 
 /// Headings of [`figures`], with the factor to the shown unit, the digits and the unit.
-const COLUMNS: [(&str, f64, usize, &str); 9] = [
+const COLUMNS: [(&str, f64, usize, &str); 13] = [
     ("scale bias", 1e2, 3, " %"),
     ("rms", 1e2, 3, " %"),
+    ("σ", 1e2, 3, " %"),
     ("given width", 1e3, 2, " mm"),
     ("width bias", 1e3, 2, " mm"),
     ("rms", 1e3, 2, " mm"),
+    ("σ", 1e3, 2, " mm"),
     ("depth bias", 1e3, 2, " mm"),
     ("rms", 1e3, 2, " mm"),
+    ("σ", 1e3, 2, " mm"),
+    ("in 90 %", 1e2, 0, " %"),
     ("better", 1e2, 0, " %"),
     ("s", 1.0, 1, ""),
 ];
@@ -110,6 +158,7 @@ mod tests {
             scale,
             faces_before: BoxErrors::default(),
             faces: BoxErrors { width_m, depth_m: 0.0 },
+            sigmas: Sigmas { scale: Some(0.01), width_m: Some(0.001), depth_m: None },
             is_improved: width_m > 0.0,
             seconds: 2.0,
         };
@@ -124,6 +173,8 @@ mod tests {
         assert!(n("scale_bias").abs() < 1e-12 && (n("scale_rms") - 0.01).abs() < 1e-12);
         assert!((n("width_bias_m") - 0.001).abs() < 1e-12);
         assert!((n("width_rms_m") - 5f64.sqrt() * 1e-3).abs() < 1e-12);
+        // Of two scales and two widths, one width is beyond its interval.
+        assert_eq!((n("coverage"), n("width_sigma_m")), (0.75, 0.001));
         assert_eq!(orbit_table(&rows).lines().count(), 3);
     }
 }

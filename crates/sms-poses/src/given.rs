@@ -1,0 +1,270 @@
+//! The given poses as measurements: `given_i · E · exp(ξ_i)`, with a correction E of the hand-eye pose that all frames
+//! share, and noise ξ whose size is estimated.
+//!
+//! The precision of ξ over the frames is `a I + s L`, per axis, where L is the Laplacian of the recorded order: `1/√a`
+//! is the deviation from the given poses that is plausible, and `1/√s` that of one frame against the next. Independent
+//! errors (motion capture) have no s; a drift (odometry) has a small a. Both follow from the recording by expectation
+//! maximisation (Dempster, Laird and Rubin 1977), for rotations and positions apart.
+
+use crate::PosesConfig;
+use crate::align::lever;
+use crate::linear::{COMMON, Common, HAND_EYE, Inverse, Row, Six, System};
+use glamx::{DMat3, DPose3, DQuat, DVec3};
+use sms_core::Seed;
+
+/// Smallest standard deviations of a pose: radians, metres. They keep weights finite for exact poses.
+const LEAST: [f64; 2] = [1e-4, 1e-4];
+/// Number of random vectors from which the traces of the covariance are estimated (Hutchinson 1990).
+const PROBES: u64 = 8;
+
+/// Precisions of the noise per axis, of rotations (1/rad²) and of positions (1/m²).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct GivenNoise {
+    /// Of a frame.
+    pub(crate) frame: [f64; 2],
+    /// Of the change between consecutive frames.
+    pub(crate) step: [f64; 2],
+}
+
+impl GivenNoise {
+    /// The configured noise, without a relation between frames.
+    pub(crate) fn configured(config: &PosesConfig) -> Self {
+        let sigmas = [config.prior_rotation_rad, config.prior_position_m];
+        Self { frame: sigmas.map(|s| s.powi(-2)), step: [0.0; 2] }
+    }
+}
+
+/// The given poses.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct GivenPoses<'a> {
+    pub(crate) poses: &'a [DPose3],
+    /// Centre of rotation of the corrections.
+    pub(crate) center_w: DVec3,
+}
+
+/// A component of a frame's deviation: rotation about the world's axes (0 to 2), position (3 to 5).
+struct Deviation {
+    value: f64,
+    row: Row,
+}
+
+impl GivenPoses<'_> {
+    /// Returns the deviations of a frame's pose from the given one with its hand-eye correction.
+    fn deviations(&self, frame: usize, pose: &DPose3, hand_eye: &DPose3) -> [Deviation; 6] {
+        let base = self.poses[frame] * *hand_eye;
+        let turned = (pose.rotation * base.rotation.inverse()).to_scaled_axis();
+        let shifted = pose.translation - base.translation;
+        let arm = pose.translation - self.center_w;
+        // Rows of the rotation of the base: a change of E acts in its axes.
+        let r_wb = DMat3::from_quat(base.rotation).transpose();
+        std::array::from_fn(|r| {
+            let axis = r % 3;
+            let is_turn = r < 3;
+            let mut own = [0.0; 6];
+            if is_turn {
+                own[axis] = 1.0;
+            } else {
+                own = lever(arm, DVec3::AXES[axis]);
+            }
+            let mut common = [0.0; COMMON];
+            for k in 0..3 {
+                common[HAND_EYE + if is_turn { k } else { 3 + k }] = -r_wb.col(axis)[k];
+            }
+            let value = if is_turn { turned[axis] } else { shifted[axis] };
+            Deviation { value, row: Row { frames: vec![(frame, own)], common } }
+        })
+    }
+
+    /// Returns the deviations of all frames, and their changes between consecutive frames.
+    fn all(&self, poses: &[DPose3], hand_eye: &DPose3) -> [Vec<[Deviation; 6]>; 2] {
+        let frames: Vec<[Deviation; 6]> =
+            poses.iter().enumerate().map(|(i, x)| self.deviations(i, x, hand_eye)).collect();
+        let change = |pair: &[[Deviation; 6]]| {
+            std::array::from_fn(|r| {
+                let (before, after) = (&pair[0][r], &pair[1][r]);
+                let [(i, own)] = after.row.frames[..] else { unreachable!("one frame") };
+                let (j, other) = before.row.frames[0];
+                Deviation {
+                    value: after.value - before.value,
+                    row: Row {
+                        frames: vec![(j, other.map(|v| -v)), (i, own)],
+                        common: std::array::from_fn(|c| after.row.common[c] - before.row.common[c]),
+                    },
+                }
+            })
+        };
+        let steps = frames.windows(2).map(change).collect();
+        [frames, steps]
+    }
+
+    /// Adds the given poses to the system.
+    pub(crate) fn add_to(
+        &self,
+        system: &mut System,
+        poses: &[DPose3],
+        hand_eye: &DPose3,
+        noise: &GivenNoise,
+    ) {
+        let [frames, steps] = self.all(poses, hand_eye);
+        for (deviations, precision) in [(frames, noise.frame), (steps, noise.step)] {
+            for (r, d) in deviations.iter().flat_map(|d| d.iter().enumerate()) {
+                let weight = precision[r / 3];
+                if weight > 0.0 {
+                    system.add_row(&d.row, d.value, weight);
+                }
+            }
+        }
+    }
+
+    /// Returns the noise under which the estimate and its covariance are most likely: one step of expectation
+    /// maximisation. The configured noise counts as one frame.
+    pub(crate) fn noise_after(
+        &self,
+        inverse: &Inverse<'_>,
+        poses: &[DPose3],
+        hand_eye: &DPose3,
+        config: &PosesConfig,
+    ) -> GivenNoise {
+        let n = poses.len();
+        let [frames, steps] = self.all(poses, hand_eye).map(|d| squares(&d, inverse, n));
+        let configured = GivenNoise::configured(config);
+        let mut noise = GivenNoise { frame: [0.0; 2], step: [0.0; 2] };
+        for kind in 0..2 {
+            let first = 3.0 / configured.frame[kind];
+            let most = LEAST[kind].powi(-2);
+            (noise.frame[kind], noise.step[kind]) =
+                most_likely(frames[kind] + first, steps[kind], n, 3.0, most);
+        }
+        noise
+    }
+}
+
+/// Returns the expected sums of squares of deviations, of rotations and of positions.
+fn squares(deviations: &[[Deviation; 6]], inverse: &Inverse<'_>, frames: usize) -> [f64; 2] {
+    let mut sums = [0.0; 2];
+    for (r, d) in deviations.iter().flat_map(|d| d.iter().enumerate()) {
+        sums[r / 3] += d.value * d.value;
+    }
+    for probe in 0..PROBES {
+        let signs: Vec<f64> = (0..6 * deviations.len() as u64)
+            .map(|k| if Seed(probe).derive_index("probe", k).0 & 1 == 0 { 1.0 } else { -1.0 })
+            .collect();
+        let all = || deviations.iter().flat_map(|d| d.iter().enumerate()).zip(&signs);
+        let (mut right, mut common): (Vec<Six>, Common) = (vec![[0.0; 6]; frames], [0.0; COMMON]);
+        all().for_each(|((_, d), sign)| d.row.add_to(&mut right, &mut common, *sign));
+        let (x, c) = inverse.times(&right, &common);
+        for ((r, d), sign) in all() {
+            sums[r / 3] += sign * d.row.of(&x, &c) / PROBES as f64;
+        }
+    }
+    sums
+}
+
+/// Maximises the likelihood of precisions a and s, with `extra` further values of precision a: minimises
+/// a S + s T − 3 Σₖ log(a + s λₖ) − extra log a, which is convex, where λₖ are the eigenvalues of the Laplacian of a chain.
+fn most_likely(frames: f64, steps: f64, n: usize, extra: f64, most: f64) -> (f64, f64) {
+    let lambda: Vec<f64> =
+        (0..n).map(|k| 2.0 - 2.0 * (std::f64::consts::PI * k as f64 / n.max(1) as f64).cos()).collect();
+    let (mut a, mut s) = ((3.0 * n as f64 + extra) / frames.max(1e-300), 0.0);
+    for _ in 0..40 {
+        a = zero_of(1e-6, most, |a| {
+            frames - extra / a - 3.0 * lambda.iter().map(|l| 1.0 / (a + s * l)).sum::<f64>()
+        });
+        s = zero_of(0.0, most, |s| steps - 3.0 * lambda.iter().map(|l| l / (a + s * l)).sum::<f64>());
+    }
+    (a, s)
+}
+
+/// Returns the zero of a growing function between two limits, or the limit on its side.
+fn zero_of(low: f64, high: f64, f: impl Fn(f64) -> f64) -> f64 {
+    if f(low) >= 0.0 {
+        return low;
+    }
+    if f(high) <= 0.0 {
+        return high;
+    }
+    // Bisection of the logarithm: the values span many powers of ten.
+    let (mut low, mut high) = (low.max(1e-9), high);
+    for _ in 0..80 {
+        let middle = (low * high).sqrt();
+        if f(middle) < 0.0 { low = middle } else { high = middle }
+    }
+    (low * high).sqrt()
+}
+
+/// Returns the hand-eye correction after a step.
+pub(crate) fn hand_eye_after(hand_eye: &DPose3, step: &Common) -> DPose3 {
+    let part = |at: usize| DVec3::new(step[HAND_EYE + at], step[HAND_EYE + at + 1], step[HAND_EYE + at + 2]);
+    let moved = *hand_eye * DPose3::from_parts(part(3), DQuat::from_scaled_axis(part(0)));
+    DPose3::from_parts(moved.translation, moved.rotation.normalize())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::moved_about;
+    use rand::RngExt;
+
+    fn pose(v: [f64; 6]) -> DPose3 {
+        moved_about(DVec3::ZERO, &v)
+    }
+
+    #[test]
+    fn rows_are_the_derivatives_of_deviations() {
+        let center_w = DVec3::new(0.2, -0.1, 0.3);
+        let given = [pose([0.3, -0.5, 1.1, 0.4, 0.2, -0.6])];
+        let problem = GivenPoses { poses: &given, center_w };
+        let hand_eye = pose([0.01, -0.02, 0.015, 0.01, 0.02, -0.01]);
+        // At the base itself the derivatives of the rotation are exact.
+        let x = given[0] * hand_eye;
+        let at = |x: &DPose3, e: &DPose3| problem.deviations(0, x, e).map(|d| d.value);
+        let step = 1e-6;
+        for (r, d) in problem.deviations(0, &x, &hand_eye).iter().enumerate() {
+            for a in 0..6 {
+                let mut unit = [0.0; 6];
+                unit[a] = step;
+                let moved = at(&(moved_about(center_w, &unit) * x), &hand_eye)[r];
+                unit[a] = -step;
+                let back = at(&(moved_about(center_w, &unit) * x), &hand_eye)[r];
+                let expected = (moved - back) / (2.0 * step);
+                assert!((d.row.frames[0].1[a] - expected).abs() < 1e-6, "{r} {a}");
+
+                let mut unit = [0.0; COMMON];
+                unit[HAND_EYE + a] = step;
+                let moved = at(&x, &hand_eye_after(&hand_eye, &unit))[r];
+                let expected = (moved - d.value) / step;
+                assert!((d.row.common[HAND_EYE + a] - expected).abs() < 1e-5, "{r} {a}");
+            }
+        }
+    }
+
+    #[test]
+    fn precisions_of_drawn_noise_are_found() {
+        let n = 200;
+        let mut rng = Seed(4).rng();
+        let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+        let sums = |values: &[[f64; 3]]| {
+            let frames: f64 = values.as_flattened().iter().map(|v| v * v).sum();
+            let steps: f64 =
+                values.windows(2).map(|w| (0..3).map(|k| (w[1][k] - w[0][k]).powi(2)).sum::<f64>()).sum();
+            (frames, steps)
+        };
+        let independent: Vec<[f64; 3]> = (0..n).map(|_| [(); 3].map(|()| 0.005 * normal())).collect();
+        let (frames, steps) = sums(&independent);
+        let (a, s) = most_likely(frames, steps, n, 3.0, 1e8);
+        assert!((a.powf(-0.5) / 0.005 - 1.0).abs() < 0.1, "{}", a.powf(-0.5));
+        assert!(s < 0.2 * a, "{s} {a}");
+
+        let mut at = [0.0; 3];
+        let walk: Vec<[f64; 3]> = (0..n)
+            .map(|_| {
+                at = at.map(|v| v + 0.001 * normal());
+                at
+            })
+            .collect();
+        let (frames, steps) = sums(&walk);
+        let (a, s) = most_likely(frames, steps, n, 3.0, 1e8);
+        assert!((s.powf(-0.5) / 0.001 - 1.0).abs() < 0.1, "{}", s.powf(-0.5));
+        assert!(a.powf(-0.5) > 0.004, "{}", a.powf(-0.5));
+    }
+}

@@ -1,0 +1,212 @@
+//! Surface directions from all frames together.
+//!
+//! The normals of one noisy depth image are wrong by ten degrees, and a wrong normal resists motion in the plane of its
+//! surface. Here the measured points of all frames are summed up in cells of several sizes. A cell takes its normal from the
+//! largest window around it in which the points are as near to a plane as their noise allows.
+
+use crate::views::{Point, PreparedFrame};
+use glamx::{DPose3, DVec3};
+use rayon::prelude::*;
+use sms_core::symmetric_eigen;
+
+/// Number of window sizes, each twice the one before.
+const LEVELS: usize = 4;
+/// A window is flat if its thickness is at most this multiple of the noise's.
+const FLAT: f64 = 1.3;
+/// Minimum number of points of a window.
+const LEAST_POINTS: f64 = 12.0;
+
+/// Sums over the points of a cell.
+#[derive(Debug, Clone, Copy, Default)]
+struct Moments {
+    count: f64,
+    /// Σ (p − center), and the upper triangle of Σ (p − center)(p − center)ᵀ.
+    sum: DVec3,
+    products: [f64; 6],
+    /// Sum of the normals of the single frames; it tells the outside.
+    normals: DVec3,
+    /// Sum of the variances along the normal, m².
+    variance: f64,
+}
+
+impl Moments {
+    fn merge(&mut self, o: &Self) {
+        self.count += o.count;
+        self.sum += o.sum;
+        self.normals += o.normals;
+        self.variance += o.variance;
+        self.products.iter_mut().zip(&o.products).for_each(|(a, b)| *a += b);
+    }
+
+    /// Returns the direction of least extent, outwards, and the variance along it relative to that of the noise.
+    fn plane(&self) -> Option<(DVec3, f64)> {
+        if self.count < LEAST_POINTS || self.normals == DVec3::ZERO {
+            return None;
+        }
+        let m = self.sum / self.count;
+        let [xx, xy, xz, yy, yz, zz] = self.products.map(|v| v / self.count);
+        let c = [
+            [xx - m.x * m.x, xy - m.x * m.y, xz - m.x * m.z],
+            [xy - m.x * m.y, yy - m.y * m.y, yz - m.y * m.z],
+            [xz - m.x * m.z, yz - m.y * m.z, zz - m.z * m.z],
+        ];
+        let (values, vectors) = symmetric_eigen::<3>(c, 12, 1e-30);
+        let least = (0..3).min_by(|&a, &b| values[a].total_cmp(&values[b]))?;
+        let n = DVec3::new(vectors[0][least], vectors[1][least], vectors[2][least]);
+        let n = if n.dot(self.normals) < 0.0 { -n } else { n };
+        Some((n.normalize(), values[least].max(0.0) / (self.variance / self.count)))
+    }
+}
+
+/// Cells by their integer coordinates.
+#[derive(Debug, Default)]
+struct Cells {
+    keys: Vec<[i32; 3]>,
+    moments: Vec<Moments>,
+    /// Open addressing: indices + 1.
+    slots: Vec<u32>,
+}
+
+impl Cells {
+    fn slot(&self, key: [i32; 3]) -> usize {
+        let h = key
+            .iter()
+            .fold(0u64, |h, &k| (h ^ k as u32 as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(29));
+        let mask = self.slots.len() - 1;
+        let mut at = (h ^ (h >> 32)) as usize & mask;
+        loop {
+            match self.slots[at] {
+                0 => return at,
+                i if self.keys[i as usize - 1] == key => return at,
+                _ => at = (at + 1) & mask,
+            }
+        }
+    }
+
+    fn get(&self, key: [i32; 3]) -> Option<usize> {
+        if self.slots.is_empty() {
+            return None;
+        }
+        (self.slots[self.slot(key)] as usize).checked_sub(1)
+    }
+
+    fn entry(&mut self, key: [i32; 3]) -> &mut Moments {
+        if (self.keys.len() + 1) * 2 > self.slots.len() {
+            self.slots = vec![0; (self.slots.len() * 2).max(1024)];
+            for i in 0..self.keys.len() {
+                let at = self.slot(self.keys[i]);
+                self.slots[at] = i as u32 + 1;
+            }
+        }
+        let at = self.slot(key);
+        if self.slots[at] == 0 {
+            self.keys.push(key);
+            self.moments.push(Moments::default());
+            self.slots[at] = self.keys.len() as u32;
+        }
+        let i = self.slots[at] as usize - 1;
+        &mut self.moments[i]
+    }
+
+    /// Returns the plane of the window of 3 × 3 × 3 cells around each cell.
+    fn planes(&self) -> Vec<Option<(DVec3, f64)>> {
+        let window = |key: &[i32; 3]| {
+            let mut sum = Moments::default();
+            for dz in -1..=1 {
+                for dy in -1..=1 {
+                    for dx in -1..=1 {
+                        if let Some(i) = self.get([key[0] + dx, key[1] + dy, key[2] + dz]) {
+                            sum.merge(&self.moments[i]);
+                        }
+                    }
+                }
+            }
+            sum.plane()
+        };
+        self.keys.par_iter().map(window).collect()
+    }
+}
+
+/// Normals of the surface that all frames measured.
+pub(crate) struct PlaneMap {
+    cell_m: f64,
+    cells: Cells,
+    /// Normal of each of the smallest cells in the world, zero where there is none, and whether a window is flat.
+    normals_w: Vec<(DVec3, bool)>,
+}
+
+impl PlaneMap {
+    pub(crate) fn new(points: &[Vec<Point>], poses: &[DPose3], center_w: DVec3, cell_m: f64) -> Self {
+        let mut cells = Cells::default();
+        for (points, x) in points.iter().zip(poses) {
+            for point in points.iter().filter(|p| p.n_c != DVec3::ZERO) {
+                let p_w = x.transform_point(point.p_c);
+                let m = cells.entry(key_of(p_w, cell_m));
+                let p = p_w - center_w;
+                m.count += 1.0;
+                m.sum += p;
+                m.normals += x.rotation * point.n_c;
+                m.variance += point.sigma_m * point.sigma_m;
+                let products = [p.x * p.x, p.x * p.y, p.x * p.z, p.y * p.y, p.y * p.z, p.z * p.z];
+                m.products.iter_mut().zip(products).for_each(|(a, b)| *a += b);
+            }
+        }
+        let mut levels = vec![];
+        let mut coarse = Cells::default();
+        for l in 0..LEVELS {
+            let of = if l == 0 { &cells } else { &coarse };
+            let planes = of.planes();
+            let mut next = Cells::default();
+            for (key, m) in of.keys.iter().zip(&of.moments) {
+                next.entry(key.map(|k| k >> 1)).merge(m);
+            }
+            levels.push((std::mem::replace(&mut coarse, next), planes));
+        }
+        // Thickness in units of the noise: misaligned frames thicken all surfaces.
+        let mut all: Vec<f64> = levels[0].1.iter().flatten().map(|p| p.1).collect();
+        all.sort_by(f64::total_cmp);
+        let typical = all.get(all.len() / 2).copied().unwrap_or(1.0);
+        let normal = |key: &[i32; 3]| {
+            let own = cells.get(*key).map_or(DVec3::ZERO, |i| cells.moments[i].normals);
+            let mut found = (own.try_normalize().unwrap_or(DVec3::ZERO), false);
+            for (l, (cells_l, planes)) in levels.iter().enumerate() {
+                let at = if l == 0 { cells.get(*key) } else { cells_l.get(key.map(|k| k >> l)) };
+                match at.and_then(|i| planes[i]) {
+                    Some((n, thickness)) if thickness <= FLAT * typical => found = (n, true),
+                    _ => break,
+                }
+            }
+            found
+        };
+        let normals_w: Vec<(DVec3, bool)> = cells.keys.par_iter().map(normal).collect();
+        Self { cell_m, cells, normals_w }
+    }
+
+    fn normal_w(&self, p_w: DVec3) -> (DVec3, bool) {
+        self.cells.get(key_of(p_w, self.cell_m)).map_or((DVec3::ZERO, false), |i| self.normals_w[i])
+    }
+
+    /// Replaces the normals of a frame by those of the map.
+    pub(crate) fn apply(&self, view: &mut PreparedFrame, x_wc: &DPose3) {
+        let k = view.intrinsics;
+        let back = x_wc.rotation.inverse();
+        for y in 0..k.height {
+            for x in 0..k.width {
+                let s = &mut view.surface[y * k.width + x];
+                if s.z <= 0.0 {
+                    continue;
+                }
+                let z = f64::from(s.z);
+                let p = DVec3::new((x as f64 + 0.5 - k.cx) / k.fx * z, (y as f64 + 0.5 - k.cy) / k.fy * z, z);
+                let (n_w, is_flat) = self.normal_w(x_wc.transform_point(p));
+                let n = back * n_w;
+                s.n = if n.dot(p) < 0.0 { n.as_vec3().to_array() } else { [0.0; 3] };
+                s.is_flat = is_flat;
+            }
+        }
+    }
+}
+
+fn key_of(p_w: DVec3, cell_m: f64) -> [i32; 3] {
+    (p_w / cell_m).floor().to_array().map(|v| v as i32)
+}
