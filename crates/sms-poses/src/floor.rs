@@ -83,6 +83,11 @@ impl PairFloor {
         floored
     }
 
+    /// Eliminates each pair's own motion from its form.
+    pub(crate) fn applied_to_all(&self, forms: &[PairForm]) -> Vec<PairForm> {
+        forms.iter().map(|form| self.applied(form)).collect()
+    }
+
     /// Returns the floor with which the pairs' gradients at the joint estimate are as large as their information
     /// predicts: χ² equals the number of degrees of freedom, of which `fitted` were used by the estimate.
     pub(crate) fn fitted(forms: &[PairForm], arm_m: f64, fitted: usize) -> Self {

@@ -1,5 +1,5 @@
-//! The given poses as measurements: `given_i · E · exp(ξ_i)`, with a correction E of the hand-eye pose that all frames
-//! share, and noise ξ whose size is estimated.
+//! The given poses as measurements: frame i is near `given_i · E`, with a correction E of the hand-eye pose that all frames
+//! share. Its deviation ξ_i, in the axes of the world, is noise whose size is estimated.
 //!
 //! The precision of ξ over the frames is `a I + s L`, per axis, where L is the Laplacian of the recorded order: `1/√a`
 //! is the deviation from the given poses that is plausible, and `1/√s` that of one frame against the next. Independent
@@ -56,7 +56,7 @@ impl GivenPoses<'_> {
         let shifted = pose.translation - base.translation;
         let arm = pose.translation - self.center_w;
         // Rows of the rotation of the base: a change of E acts in its axes.
-        let r_wb = DMat3::from_quat(base.rotation).transpose();
+        let r_bw = DMat3::from_quat(base.rotation).transpose();
         std::array::from_fn(|r| {
             let axis = r % 3;
             let is_turn = r < 3;
@@ -68,7 +68,7 @@ impl GivenPoses<'_> {
             }
             let mut common = [0.0; COMMON];
             for k in 0..3 {
-                common[HAND_EYE + if is_turn { k } else { 3 + k }] = -r_wb.col(axis)[k];
+                common[HAND_EYE + if is_turn { k } else { 3 + k }] = -r_bw.col(axis)[k];
             }
             let value = if is_turn { turned[axis] } else { shifted[axis] };
             Deviation { value, row: Row { frames: vec![(frame, own)], common } }

@@ -10,8 +10,8 @@
 //! - surface directions come from the planes that the points of all frames form: those of one noisy depth image resist
 //!   motion that they know nothing about. Derivatives of colour have the same fault, and are used as instruments in the
 //!   end: the noise of one image is independent of that of the other;
-//! - the given poses are measurements `given_i · E · exp(ξ_i)`, with a correction E that all frames share (the camera on
-//!   its hand or motion-capture body), and noise ξ, independent or drifting, whose size is estimated;
+//! - the given poses are measurements: frame i is near `given_i · E`, with a correction E that all frames share (the
+//!   camera on its hand or motion-capture body), up to noise, independent or drifting, whose size is estimated;
 //! - all corrections are solved for together (Gauss-Newton with robust weights, coarse to fine; conjugate gradients
 //!   over 6 × 6 blocks). No single frame is held fixed: at the end, all cameras are moved rigidly so that the measured
 //!   points are closest, in the least-squares sense, to their positions under the given poses;

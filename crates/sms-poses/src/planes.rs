@@ -4,7 +4,7 @@
 //! surface. Here the measured points of all frames are summed up in cells of several sizes. A cell takes its normal from the
 //! largest window around it in which the points are as near to a plane as their noise allows.
 
-use crate::views::{Point, PreparedFrame};
+use crate::views::{Point, PreparedFrame, pixel_point};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use sms_core::symmetric_eigen;
@@ -108,6 +108,15 @@ impl Cells {
         &mut self.moments[i]
     }
 
+    /// Returns the cells of twice the size.
+    fn coarser(&self) -> Self {
+        let mut coarse = Self::default();
+        for (key, m) in self.keys.iter().zip(&self.moments) {
+            coarse.entry(key.map(|k| k >> 1)).merge(m);
+        }
+        coarse
+    }
+
     /// Returns the plane of the window of 3 × 3 × 3 cells around each cell.
     fn planes(&self) -> Vec<Option<(DVec3, f64)>> {
         let window = |key: &[i32; 3]| {
@@ -151,35 +160,28 @@ impl PlaneMap {
                 m.products.iter_mut().zip(products).for_each(|(a, b)| *a += b);
             }
         }
-        let mut levels = vec![];
-        let mut coarse = Cells::default();
-        for l in 0..LEVELS {
-            let of = if l == 0 { &cells } else { &coarse };
-            let planes = of.planes();
-            let mut next = Cells::default();
-            for (key, m) in of.keys.iter().zip(&of.moments) {
-                next.entry(key.map(|k| k >> 1)).merge(m);
-            }
-            levels.push((std::mem::replace(&mut coarse, next), planes));
+        let mut levels = vec![cells];
+        while levels.len() < LEVELS {
+            levels.push(levels[levels.len() - 1].coarser());
         }
+        let planes: Vec<_> = levels.iter().map(Cells::planes).collect();
         // Thickness in units of the noise: misaligned frames thicken all surfaces.
-        let mut all: Vec<f64> = levels[0].1.iter().flatten().map(|p| p.1).collect();
+        let mut all: Vec<f64> = planes[0].iter().flatten().map(|p| p.1).collect();
         all.sort_by(f64::total_cmp);
         let typical = all.get(all.len() / 2).copied().unwrap_or(1.0);
-        let normal = |key: &[i32; 3]| {
-            let own = cells.get(*key).map_or(DVec3::ZERO, |i| cells.moments[i].normals);
-            let mut found = (own.try_normalize().unwrap_or(DVec3::ZERO), false);
-            for (l, (cells_l, planes)) in levels.iter().enumerate() {
-                let at = if l == 0 { cells.get(*key) } else { cells_l.get(key.map(|k| k >> l)) };
-                match at.and_then(|i| planes[i]) {
+        let normal = |(key, own): (&[i32; 3], &Moments)| {
+            let mut found = (own.normals.try_normalize().unwrap_or(DVec3::ZERO), false);
+            for (l, (cells, planes)) in levels.iter().zip(&planes).enumerate() {
+                match cells.get(key.map(|k| k >> l)).and_then(|i| planes[i]) {
                     Some((n, thickness)) if thickness <= FLAT * typical => found = (n, true),
                     _ => break,
                 }
             }
             found
         };
-        let normals_w: Vec<(DVec3, bool)> = cells.keys.par_iter().map(normal).collect();
-        Self { cell_m, cells, normals_w }
+        let finest = &levels[0];
+        let normals_w = finest.keys.par_iter().zip(&finest.moments).map(normal).collect();
+        Self { cell_m, cells: levels.swap_remove(0), normals_w }
     }
 
     fn normal_w(&self, p_w: DVec3) -> (DVec3, bool) {
@@ -197,7 +199,7 @@ impl PlaneMap {
                     continue;
                 }
                 let z = f64::from(s.z);
-                let p = DVec3::new((x as f64 + 0.5 - k.cx) / k.fx * z, (y as f64 + 0.5 - k.cy) / k.fy * z, z);
+                let p = pixel_point(&k, x as i64, y as i64, z);
                 let (n_w, is_flat) = self.normal_w(x_wc.transform_point(p));
                 let n = back * n_w;
                 s.n = if n.dot(p) < 0.0 { n.as_vec3().to_array() } else { [0.0; 3] };

@@ -173,12 +173,11 @@ impl<'a> BundleAdjustment<'a> {
         sums.chunks_exact(2).map(|both| of(&both[0]).with_reverse(&of(&both[1]))).collect()
     }
 
-    /// Returns the linear system of all corrections.
-    fn system(&self, forms: &[PairForm], estimate: &RefinementState, shift_is_free: [bool; 2]) -> System {
+    /// Returns the linear system of all corrections from the forms with the floor.
+    fn system(&self, floored: &[PairForm], estimate: &RefinementState, shift_is_free: [bool; 2]) -> System {
         let mut system = self.prior(estimate, shift_is_free);
-        for (&(i, j), form) in self.graph.pairs.iter().zip(forms) {
-            let PairForm { h, g, shift } = estimate.floor.applied(form);
-            system.add_pair(i, j, &h, &g, &shift);
+        for (&(i, j), form) in self.graph.pairs.iter().zip(floored) {
+            system.add_pair(i, j, &form.h, &form.g, &form.shift);
         }
         system
     }
@@ -188,8 +187,10 @@ impl<'a> BundleAdjustment<'a> {
         let config = self.config;
         let mut system = System::new(estimate.poses.len());
         // A shift that is not estimated is held constant.
-        let weight = |is_free| if is_free { config.prior_color_shift_px.powi(-2) } else { HELD };
-        (0..2).for_each(|k| system.add_common(k, estimate.color_shift[k], weight(shift_is_free[k])));
+        for k in 0..2 {
+            let sigma_px = if shift_is_free[k] { config.prior_color_shift_px } else { 0.0 };
+            system.add_common(k, estimate.color_shift[k], weight_of(sigma_px));
+        }
         let turn = estimate.hand_eye.rotation.to_scaled_axis();
         let shift = estimate.hand_eye.translation;
         for k in 0..3 {
@@ -214,8 +215,8 @@ impl<'a> BundleAdjustment<'a> {
         for iteration in 0..config.iterations[level] {
             cancel.check()?;
             let sums = self.pass(level, estimate);
-            let forms = self.forms(&sums);
-            let system = self.system(&forms, estimate, shift_is_free);
+            let floored = estimate.floor.applied_to_all(&self.forms(&sums));
+            let system = self.system(&floored, estimate, shift_is_free);
             let Some((steps, common)) = system.solve() else { return Ok(iteration) };
             let shift_step = [common[0], common[1]];
             let RefinementState { poses, color_shift, arcs, .. } = estimate;
@@ -242,13 +243,13 @@ impl<'a> BundleAdjustment<'a> {
         Ok(config.iterations[level])
     }
 
-    /// Estimates the noise floor of the pairs and the noise of the given poses from the converged estimate.
-    fn estimate_noise(&self, level: usize, estimate: &mut RefinementState, shift_is_free: [bool; 2]) {
-        let forms = self.forms(&self.pass(level, estimate));
+    /// Estimates the noise floor of the pairs and the noise of the given poses from the forms at the estimate.
+    fn estimate_noise(&self, forms: &[PairForm], estimate: &mut RefinementState, shift_is_free: [bool; 2]) {
         let unknown = 6 * estimate.poses.len().saturating_sub(1);
-        estimate.floor = PairFloor::fitted(&forms, self.arm_m, unknown);
+        estimate.floor = PairFloor::fitted(forms, self.arm_m, unknown);
+        let floored = estimate.floor.applied_to_all(forms);
         for _ in 0..NOISE_STEPS {
-            let system = self.system(&forms, estimate, shift_is_free);
+            let system = self.system(&floored, estimate, shift_is_free);
             let Some(inverse) = system.inverse() else { return };
             estimate.noise =
                 self.given_poses().noise_after(&inverse, &estimate.poses, &estimate.hand_eye, self.config);
@@ -315,10 +316,13 @@ impl<'a> BundleAdjustment<'a> {
         }
         estimate.phase = Phase::Estimate;
         for _ in 0..if levels > 0 { NOISE_ROUNDS } else { 0 } {
-            self.estimate_noise(0, &mut estimate, free);
-            let is_shifted = self.is_shifted(&estimate, free);
+            let forms = self.forms(&self.pass(0, &estimate));
+            self.estimate_noise(&forms, &mut estimate, free);
+            if free.contains(&true) {
+                let is_shifted = self.is_shifted(&forms, &estimate, free);
+                (0..2).for_each(|k| free[k] &= is_shifted[k]);
+            }
             for k in 0..2 {
-                free[k] &= is_shifted[k];
                 estimate.color_shift[k] *= f64::from(u8::from(free[k]));
             }
             self.fuse_normals(&mut estimate);
@@ -337,17 +341,17 @@ impl<'a> BundleAdjustment<'a> {
         })
     }
 
-    /// Evaluates the covariance at the converged estimate; `None` if it is not determined.
+    /// Evaluates the covariance from the forms at the estimate; `None` if it is not determined.
     fn with_covariance<T>(
         &self,
+        forms: &[PairForm],
         estimate: &RefinementState,
         shift_is_free: [bool; 2],
         f: impl FnOnce(&Covariance<'_>) -> T,
     ) -> Option<T> {
-        let raw = self.forms(&self.pass(0, estimate));
-        let system = self.system(&raw, estimate, shift_is_free);
+        let forms = estimate.floor.applied_to_all(forms);
+        let system = self.system(&forms, estimate, shift_is_free);
         let prior = self.prior(estimate, shift_is_free);
-        let forms: Vec<PairForm> = raw.iter().map(|form| estimate.floor.applied(form)).collect();
         let inverse = system.inverse()?;
         let pairs = &self.graph.pairs;
         Some(f(&Covariance { inverse: &inverse, prior: &prior, pairs, forms: &forms }))
@@ -355,8 +359,14 @@ impl<'a> BundleAdjustment<'a> {
 
     /// Returns whether the colour is shifted against the depth along x and y by more than chance, and by more than the error
     /// that all points may share: shading that changes with the view, and depth that is wrong at edges.
-    fn is_shifted(&self, estimate: &RefinementState, shift_is_free: [bool; 2]) -> [bool; 2] {
-        let sigmas = self.with_covariance(estimate, shift_is_free, |c| [0, 1].map(|k| c.common_sigma(k)));
+    fn is_shifted(
+        &self,
+        forms: &[PairForm],
+        estimate: &RefinementState,
+        shift_is_free: [bool; 2],
+    ) -> [bool; 2] {
+        let sigmas =
+            self.with_covariance(forms, estimate, shift_is_free, |c| [0, 1].map(|k| c.common_sigma(k)));
         let slip_px = self.config.color_slip_px * self.views.first().map_or(1.0, |v| v.scale(0));
         let is_more = |k: usize, s: f64| estimate.color_shift[k].abs() > SIGNIFICANT * s.hypot(slip_px);
         sigmas.map_or([false; 2], |s| [0, 1].map(|k| is_more(k, s[k])))
@@ -367,7 +377,8 @@ impl<'a> BundleAdjustment<'a> {
         let coarse = self.views.first()?.luma.len() - 1;
         let points: Vec<Vec<Point>> =
             self.views.iter().map(|v| v.points(coarse, 1.0, [0.5; 2], [0.0; 2], self.config)).collect();
-        self.with_covariance(estimate, shift_is_free, |covariance| {
+        let forms = self.forms(&self.pass(0, estimate));
+        self.with_covariance(&forms, estimate, shift_is_free, |covariance| {
             SizeUncertainty::of(covariance, &estimate.poses, &points, self.center_w)
         })
     }

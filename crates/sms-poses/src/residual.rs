@@ -14,7 +14,7 @@ use crate::histogram::ResidualStats;
 use crate::linear::Six;
 use crate::luma::sample;
 use crate::pair::{ColorRow, PairSums, Sums};
-use crate::views::{Point, PreparedFrame, sigma_along_normal};
+use crate::views::{Point, PreparedFrame, pixel_point, sigma_along_normal};
 use glamx::{DMat3, DPose3, DVec3, Vec3};
 use sms_core::Intrinsics;
 
@@ -155,7 +155,7 @@ pub(crate) fn meeting(p: DVec3, n_p: DVec3, view: &PreparedFrame, gate_m: f64) -
     let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
     let (x, y, surface) = view.surface_at(u, v)?;
     let z = f64::from(surface.z);
-    let q = DVec3::new((x as f64 + 0.5 - k.cx) / k.fx * z, (y as f64 + 0.5 - k.cy) / k.fy * z, z);
+    let q = pixel_point(k, x as i64, y as i64, z);
     let n = Vec3::from(surface.n).as_dvec3();
     let has_plane = n != DVec3::ZERO;
     let off = if has_plane { n.dot(p - q) } else { p.z - q.z };

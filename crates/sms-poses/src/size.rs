@@ -55,11 +55,6 @@ impl SizeUncertainty {
         };
         Self { scale_sigma, extents: (0..DIRECTIONS).filter_map(extent).collect() }
     }
-
-    /// Returns the least certain distance.
-    pub fn weakest(&self) -> Option<&ExtentUncertainty> {
-        self.extents.iter().max_by(|a, b| a.sigma_m.total_cmp(&b.sigma_m))
-    }
 }
 
 /// The scale of the camera centres about their mean, as a function of the corrections.

@@ -68,9 +68,10 @@ impl PreparedFrame {
         };
         let k = &frame.camera.intrinsics;
         let normals = normals_from_depth(&frame.depth, k, &config.noise, config.normal_radius_px);
-        let mut all: Vec<SurfaceSample> = frame.depth.data.iter().zip(&normals.data).map(surface).collect();
-        set_sigmas(&mut all, k, config);
-        let surface = with_edges(&all, &frame.camera.intrinsics, config);
+        let mut surface: Vec<SurfaceSample> =
+            frame.depth.data.iter().zip(&normals.data).map(surface).collect();
+        set_sigmas(&mut surface, k, config);
+        mark_edges(&mut surface, k, config);
         let mut finest = luma(&frame.color);
         for _ in 0..halvings {
             finest = half(&finest);
@@ -122,7 +123,7 @@ impl PreparedFrame {
                     continue;
                 }
                 let (u, v, z) = (x as f64 + 0.5, y as f64 + 0.5, f64::from(s.z));
-                let p_c = DVec3::new((u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z);
+                let p_c = pixel_point(k, x as i64, y as i64, z);
                 let n_c = Vec3::from(s.n).as_dvec3();
                 let sampled =
                     sample(&self.luma[level], (u + color_shift[0]) / scale, (v + color_shift[1]) / scale);
@@ -180,17 +181,14 @@ fn set_sigmas(all: &mut [SurfaceSample], k: &Intrinsics, config: &PosesConfig) {
 
 /// Marks the measurements beside depth edges: those with a neighbour within [`PosesConfig::edge_px`] off their plane by
 /// more than noise.
-fn with_edges(all: &[SurfaceSample], k: &Intrinsics, config: &PosesConfig) -> Vec<SurfaceSample> {
+fn mark_edges(all: &mut [SurfaceSample], k: &Intrinsics, config: &PosesConfig) {
     /// Deviations from a plane beyond this many standard deviations are edges.
     const EDGE_SIGMA: f64 = 6.0;
     let (w, h) = (k.width as i64, k.height as i64);
     let reach = config.edge_px as i64;
-    let position = |x: i64, y: i64, z: f64| {
-        DVec3::new((x as f64 + 0.5 - k.cx) / k.fx * z, (y as f64 + 0.5 - k.cy) / k.fy * z, z)
-    };
     let is_edge = |x: i64, y: i64, own: &SurfaceSample| {
         let (z, n) = (f64::from(own.z), Vec3::from(own.n).as_dvec3());
-        let p = position(x, y, z);
+        let p = pixel_point(k, x, y, z);
         let most = EDGE_SIGMA * config.noise.sigma_m(z);
         (1..=reach).any(|d| {
             [(d, 0), (-d, 0), (0, d), (0, -d), (d, d), (-d, d), (d, -d), (-d, -d)].iter().any(|(dx, dy)| {
@@ -199,15 +197,21 @@ fn with_edges(all: &[SurfaceSample], k: &Intrinsics, config: &PosesConfig) -> Ve
                     return false;
                 }
                 let other = f64::from(all[(v * w + u) as usize].z);
-                other > 0.0 && n.dot(position(u, v, other) - p).abs() > most
+                other > 0.0 && n.dot(pixel_point(k, u, v, other) - p).abs() > most
             })
         })
     };
-    let kept = |(i, own): (usize, &SurfaceSample)| {
+    let marked = |(i, own): (usize, &SurfaceSample)| {
         let (x, y) = ((i % k.width) as i64, (i / k.width) as i64);
-        SurfaceSample { at_edge: own.z > 0.0 && is_edge(x, y, own), ..*own }
+        own.z > 0.0 && is_edge(x, y, own)
     };
-    all.iter().enumerate().map(kept).collect()
+    let marks: Vec<bool> = all.iter().enumerate().map(marked).collect();
+    all.iter_mut().zip(marks).for_each(|(s, at_edge)| s.at_edge = at_edge);
+}
+
+/// Returns the point at the centre of a pixel with depth `z`, in the camera.
+pub(crate) fn pixel_point(k: &Intrinsics, x: i64, y: i64, z: f64) -> DVec3 {
+    DVec3::new((x as f64 + 0.5 - k.cx) / k.fx * z, (y as f64 + 0.5 - k.cy) / k.fy * z, z)
 }
 
 /// Returns the standard deviation of a point along its normal, from depth noise along the ray. Viewing angles below
