@@ -8,6 +8,7 @@
 
 use crate::floor::PairForm;
 use crate::linear::{COMMON, Common, Inverse, Row, Six, System};
+use std::collections::BTreeSet;
 
 /// Variances of functions of an estimate.
 pub(crate) struct Covariance<'a> {
@@ -17,21 +18,29 @@ pub(crate) struct Covariance<'a> {
     pub(crate) pairs: &'a [(usize, usize)],
     /// The forms of the pairs at the estimate, as in the system.
     pub(crate) forms: &'a [PairForm],
+    /// Responses of the estimate to errors of one standard deviation of values that it holds fixed.
+    pub(crate) considered: Vec<(Vec<Six>, Common)>,
 }
 
 impl Covariance<'_> {
-    /// Returns the standard deviation of a linear function of the unknowns.
-    pub(crate) fn sigma(&self, of: &Row) -> f64 {
+    /// Returns the standard deviation of a linear function of the unknowns; `None` if it cannot be computed.
+    pub(crate) fn sigma(&self, of: &Row) -> Option<f64> {
         let frames = self.inverse.frames();
         let (mut right, mut common): (Vec<Six>, Common) = (vec![[0.0; 6]; frames], [0.0; COMMON]);
         of.add_to(&mut right, &mut common, 1.0);
         let (steps, values) = self.inverse.times(&right, &common);
-        let scatter = self.scatter(&steps, &values);
-        (scatter + self.prior.quadratic(&steps, &values)).max(0.0).sqrt()
+        let scattered = self.scatter(&steps, &values) + self.prior.quadratic(&steps, &values);
+        // The scatter of few pairs can be small by chance, but their information is not more than that of independent
+        // measurements.
+        let informed = of.of(&steps, &values);
+        let held: f64 = self.considered.iter().map(|(steps, values)| of.of(steps, values).powi(2)).sum();
+        let variance = scattered.max(informed) + held;
+        (scattered.is_finite() && informed.is_finite() && variance > 0.0 && held.is_finite())
+            .then(|| variance.sqrt())
     }
 
     /// Returns the standard deviation of a common value.
-    pub(crate) fn common_sigma(&self, at: usize) -> f64 {
+    pub(crate) fn common_sigma(&self, at: usize) -> Option<f64> {
         let mut common = [0.0; COMMON];
         common[at] = 1.0;
         self.sigma(&Row { frames: Vec::new(), common })
@@ -52,7 +61,8 @@ impl Covariance<'_> {
         let shared: f64 = of_frame.iter().map(|u| u * u).sum::<f64>() - squares;
         // The estimate fits its pairs, which makes their gradients smaller: as for a residual variance. The sum over pairs
         // that share a frame can be negative by chance; it is then at least that of independent pairs.
-        let (pairs, fitted) = (self.pairs.len() as f64, steps.len() as f64);
+        let paired: BTreeSet<usize> = self.pairs.iter().flat_map(|&(i, j)| [i, j]).collect();
+        let (pairs, fitted) = (self.pairs.len() as f64, paired.len() as f64);
         let free = (pairs - fitted).max(1.0);
         shared.max(squares) * pairs / free
     }
@@ -111,8 +121,14 @@ mod tests {
             let mut prior = System::new(n);
             held(&mut prior);
             let inverse = system.inverse().unwrap();
-            let covariance = Covariance { inverse: &inverse, prior: &prior, pairs: &pairs, forms: &forms };
-            stated += covariance.sigma(&of).powi(2);
+            let covariance = Covariance {
+                inverse: &inverse,
+                prior: &prior,
+                pairs: &pairs,
+                forms: &forms,
+                considered: Vec::new(),
+            };
+            stated += covariance.sigma(&of).unwrap().powi(2);
         }
         let ratio = (stated / squares).sqrt();
         assert!((0.85..1.15).contains(&ratio), "{ratio}");

@@ -10,6 +10,7 @@ use crate::PosesConfig;
 use crate::align::lever;
 use crate::linear::{COMMON, Common, HAND_EYE, Inverse, Row, Six, System};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
+use rayon::prelude::*;
 use sms_core::Seed;
 
 /// Smallest standard deviations of a pose: radians, metres. They keep weights finite for exact poses.
@@ -31,6 +32,23 @@ impl GivenNoise {
     pub(crate) fn configured(config: &PosesConfig) -> Self {
         let sigmas = [config.prior_rotation_rad, config.prior_position_m];
         Self { frame: sigmas.map(|s| s.powi(-2)), step: [0.0; 2] }
+    }
+
+    /// Returns the standard deviation of a frame, of rotations and of positions, in the mean over `frames` frames.
+    pub(crate) fn sigma(&self, frames: usize) -> [f64; 2] {
+        [0, 1].map(|kind| self.mean_variance(kind, frames, |_| 1.0).sqrt())
+    }
+
+    /// Returns that of the change between consecutive frames, where it is more certain than independent frames.
+    pub(crate) fn step_sigma(&self, frames: usize) -> [Option<f64>; 2] {
+        let sigma = |kind| self.mean_variance(kind, frames, |l| l).sqrt();
+        [0, 1].map(|kind| (self.step[kind] > self.frame[kind]).then(|| sigma(kind)))
+    }
+
+    fn mean_variance(&self, kind: usize, frames: usize, of: impl Fn(f64) -> f64) -> f64 {
+        let variances =
+            laplacian_eigenvalues(frames).map(|l| of(l) / (self.frame[kind] + self.step[kind] * l));
+        variances.sum::<f64>() / frames.max(1) as f64
     }
 }
 
@@ -73,6 +91,15 @@ impl GivenPoses<'_> {
             let value = if is_turn { turned[axis] } else { shifted[axis] };
             Deviation { value, row: Row { frames: vec![(frame, own)], common } }
         })
+    }
+
+    /// Returns the size of each frame's deviation: metres, radians.
+    pub(crate) fn lengths(&self, poses: &[DPose3], hand_eye: &DPose3) -> Vec<[f64; 2]> {
+        let of = |(i, x): (usize, &DPose3)| {
+            let d = self.deviations(i, x, hand_eye).map(|d| d.value);
+            [DVec3::new(d[3], d[4], d[5]).length(), DVec3::new(d[0], d[1], d[2]).length()]
+        };
+        poses.iter().enumerate().map(of).collect()
     }
 
     /// Returns the deviations of all frames, and their changes between consecutive frames.
@@ -145,7 +172,7 @@ fn squares(deviations: &[[Deviation; 6]], inverse: &Inverse<'_>, frames: usize) 
     for (r, d) in deviations.iter().flat_map(|d| d.iter().enumerate()) {
         sums[r / 3] += d.value * d.value;
     }
-    for probe in 0..PROBES {
+    let traces = |probe: u64| {
         let signs: Vec<f64> = (0..6 * deviations.len() as u64)
             .map(|k| if Seed(probe).derive_index("probe", k).0 & 1 == 0 { 1.0 } else { -1.0 })
             .collect();
@@ -153,18 +180,24 @@ fn squares(deviations: &[[Deviation; 6]], inverse: &Inverse<'_>, frames: usize) 
         let (mut right, mut common): (Vec<Six>, Common) = (vec![[0.0; 6]; frames], [0.0; COMMON]);
         all().for_each(|((_, d), sign)| d.row.add_to(&mut right, &mut common, *sign));
         let (x, c) = inverse.times(&right, &common);
-        for ((r, d), sign) in all() {
-            sums[r / 3] += sign * d.row.of(&x, &c) / PROBES as f64;
-        }
-    }
+        let mut traces = [0.0; 2];
+        all().for_each(|((r, d), sign)| traces[r / 3] += sign * d.row.of(&x, &c) / PROBES as f64);
+        traces
+    };
+    let traces: Vec<[f64; 2]> = (0..PROBES).into_par_iter().map(traces).collect();
+    traces.iter().for_each(|t| (0..2).for_each(|kind| sums[kind] += t[kind]));
     sums
+}
+
+/// Returns the eigenvalues of the Laplacian of a chain of n frames.
+fn laplacian_eigenvalues(n: usize) -> impl Iterator<Item = f64> {
+    (0..n).map(move |k| 2.0 - 2.0 * (std::f64::consts::PI * k as f64 / n as f64).cos())
 }
 
 /// Maximises the likelihood of precisions a and s, with `extra` further values of precision a: minimises
 /// a S + s T − 3 Σₖ log(a + s λₖ) − extra log a, which is convex, where λₖ are the eigenvalues of the Laplacian of a chain.
 fn most_likely(frames: f64, steps: f64, n: usize, extra: f64, most: f64) -> (f64, f64) {
-    let lambda: Vec<f64> =
-        (0..n).map(|k| 2.0 - 2.0 * (std::f64::consts::PI * k as f64 / n.max(1) as f64).cos()).collect();
+    let lambda: Vec<f64> = laplacian_eigenvalues(n).collect();
     let (mut a, mut s) = ((3.0 * n as f64 + extra) / frames.max(1e-300), 0.0);
     for _ in 0..40 {
         a = zero_of(1e-6, most, |a| {

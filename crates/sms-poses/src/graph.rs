@@ -81,7 +81,7 @@ pub(crate) fn choose_pairs(views: &[PreparedFrame], x_wc: &[DPose3], config: &Po
 fn sampled_points(view: &PreparedFrame, config: &PosesConfig) -> Vec<Point> {
     let k = &view.intrinsics;
     let stride = ((k.width * k.height) as f64 / (4 * SAMPLES) as f64).sqrt() / view.scale(0);
-    let all = view.points(0, stride.max(1.0), [0.5, 0.5], [0.0; 2], config);
+    let all = view.alone().points(0, stride.max(1.0), [0.5, 0.5], [0.0; 2], config);
     let step = (all.len() / SAMPLES).max(1);
     all.into_iter().step_by(step).collect()
 }
@@ -111,9 +111,10 @@ fn overlap(
             let (u, v) = (k.fx * q.x / q.z + k.cx, k.fy * q.y / q.z + k.cy);
             if q.z > 1e-3 && u >= 0.0 && v >= 0.0 && u < k.width as f64 && v < k.height as f64 {
                 landed += 1;
-                if let Some((_, _, s)) = views[to].surface_at(u, v) {
+                if let Some((x, y)) = views[to].measured_at(u, v) {
+                    let z = f64::from(views[to].depth[y * k.width + x].z);
                     measured += 1;
-                    met += usize::from((f64::from(s.z) - q.z).abs() < SAME_SURFACE * q.z);
+                    met += usize::from((z - q.z).abs() < SAME_SURFACE * q.z);
                 }
             }
         }

@@ -4,7 +4,7 @@ use crate::histogram::{Histogram, ResidualStats};
 use crate::pair::PairSums;
 use crate::refine::{BundleAdjustment, arcs};
 use crate::residual::{LinearisationPoint, Phase, Weighing};
-use crate::views::Point;
+use crate::views::{DirectedFrame, Point, PreparedFrame};
 use glamx::DPose3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -82,7 +82,9 @@ pub(crate) fn judge(problem: &BundleAdjustment<'_>, refined: &[DPose3], color_sh
     let points: Vec<Vec<Point>> = problem
         .views
         .par_iter()
-        .map(|v| v.points(0, problem.config.point_stride.max(2.0), [0.0, 0.0], color_shift, problem.config))
+        .map(|v| {
+            v.alone().points(0, problem.config.point_stride.max(2.0), [0.0, 0.0], color_shift, problem.config)
+        })
         .collect();
     let before = residuals(problem, pairs, &points, problem.given, color_shift);
     let after = residuals(problem, pairs, &points, refined, color_shift);
@@ -126,9 +128,10 @@ fn residuals(
     let mut arcs = arcs(pairs);
     let weighing = Weighing { depth_scale: 4.0, color_scale: 4.0, gate_m: problem.widest_gate_m() };
     let at = LinearisationPoint { level: 0, poses, color_shift, phase: Phase::Approach };
+    let views: Vec<DirectedFrame<'_>> = problem.views.iter().map(PreparedFrame::alone).collect();
     let mut sums: Vec<PairSums> = Vec::new();
     for _ in 0..3 {
-        sums = problem.linearise_all(problem.views, &arcs, points, at, &weighing);
+        sums = problem.linearise_all(&views, &arcs, points, at, &weighing);
         for (arc, pair) in arcs.iter_mut().zip(&sums) {
             arc.brightness = pair.brightness_after(&[0.0; 6], [0.0; 2], arc.brightness);
         }

@@ -110,7 +110,7 @@ pub fn refine_poses(
         );
         return keep(PoseVerdict::NotPossible);
     }
-    let Refined { poses, color_shift_px, hand_eye, noise, floor, uncertainty, iterations } =
+    let Refined { poses, color_shift_px, hand_eye, deviations, noise, floor, uncertainty, iterations } =
         problem.run(progress, cancel)?;
     let judgement = judge::judge(&problem, &poses, color_shift_px);
     let corrections: Vec<PoseCorrection> = given
@@ -130,9 +130,9 @@ pub fn refine_poses(
         iterations,
         color_shift_px,
         hand_eye: HandEye::of(&hand_eye),
-        given_sigma: GivenSigma::of(&noise),
+        given_sigma: GivenSigma::of(&noise, given.len()),
         pair_floor_m: floor.shift_m,
-        size: uncertainty.unwrap_or_default(),
+        size: uncertainty,
         corrections,
         judgement,
     };
@@ -143,7 +143,7 @@ pub fn refine_poses(
         report.verdict = PoseVerdict::GivenAreAsGood;
     }
     progress.end(&report.summary());
-    warn(&report, config, &problem, warnings);
+    warn(&report, config, &problem, &deviations, warnings);
     let mut sequence = sequence.clone();
     if report.verdict == PoseVerdict::Refined {
         for (frame, pose) in sequence.frames.iter_mut().zip(poses) {
@@ -153,7 +153,13 @@ pub fn refine_poses(
     Ok(PoseRefinement { sequence, report })
 }
 
-fn warn(report: &PoseReport, config: &PosesConfig, problem: &BundleAdjustment<'_>, warnings: &Warnings) {
+fn warn(
+    report: &PoseReport,
+    config: &PosesConfig,
+    problem: &BundleAdjustment<'_>,
+    deviations: &[[f64; 2]],
+    warnings: &Warnings,
+) {
     if report.verdict == PoseVerdict::NotPossible {
         warnings.add(
             "poses",
@@ -194,19 +200,21 @@ fn warn(report: &PoseReport, config: &PosesConfig, problem: &BundleAdjustment<'_
         warnings.add(
             "poses",
             "poses_of_some_frames_kept",
-            format!("frames {lonely} overlap too little with the others; their poses are kept as given"),
+            format!("frames {lonely} overlap too little with the others; their poses follow from the given ones and from the correction that all frames share"),
             "",
         );
     }
-    let (most_m, most_rad) = (5.0 * config.prior_position_m, 5.0 * config.prior_rotation_rad);
-    let is_far = |c: &&PoseCorrection| c.shift_m > most_m || c.turn_rad > most_rad;
-    let far = list(report.corrections.iter().filter(is_far).map(|c| c.frame).collect());
+    // The lengths of vectors of three components.
+    let most =
+        [report.given_sigma.position_m, report.given_sigma.rotation_rad].map(|s| 5.0 * 3f64.sqrt() * s);
+    let is_far = |i: &usize| (0..2).any(|kind| deviations[*i][kind] > most[kind]);
+    let far = list((0..deviations.len()).filter(is_far).collect());
     if !far.is_empty() {
         warnings.add(
             "poses",
             "poses_far_off",
-            format!("the poses of frames {far} were corrected by more than five standard deviations of the given poses"),
-            "inspect these frames; raise prior_position_m and prior_rotation_rad in [poses] if the given poses are that inaccurate",
+            format!("the poses of frames {far} were corrected by more than five times what is usual in this recording"),
+            "inspect these frames: their pose or their time stamp may be wrong",
         );
     }
 }

@@ -2,6 +2,7 @@
 //! gradients.
 
 use crate::pair::ShiftSums;
+use rayon::prelude::*;
 use sms_core::Cholesky;
 
 /// A symmetric 6 × 6 block.
@@ -139,8 +140,8 @@ impl System {
         }
         let factors: Vec<Cholesky<6>> =
             diagonal.iter().map(|h| Cholesky::new(h, 6)).collect::<Option<_>>()?;
-        let columns: [Vec<Six>; COMMON] =
-            std::array::from_fn(|k| self.conjugate_gradients(&factors, &self.by_common[k]));
+        let columns: Vec<Vec<Six>> =
+            self.by_common.par_iter().map(|right| self.conjugate_gradients(&factors, right)).collect();
         let mut schur = self.common_h;
         for (k, row) in schur.iter_mut().enumerate() {
             for (l, value) in row.iter_mut().enumerate() {
@@ -234,7 +235,7 @@ pub(crate) struct Inverse<'a> {
     system: &'a System,
     factors: Vec<Cholesky<6>>,
     /// Solutions for the coupling with each common value.
-    columns: [Vec<Six>; COMMON],
+    columns: Vec<Vec<Six>>,
     /// The block of the common values with the frames eliminated.
     schur: Cholesky<COMMON>,
 }

@@ -4,7 +4,7 @@
 //! surface. Here the measured points of all frames are summed up in cells of several sizes. A cell takes its normal from the
 //! largest window around it in which the points are as near to a plane as their noise allows.
 
-use crate::views::{Point, PreparedFrame, pixel_point};
+use crate::views::{DepthSample, Direction, Point, PreparedFrame, pixel_point};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use sms_core::symmetric_eigen;
@@ -124,7 +124,11 @@ impl Cells {
             for dz in -1..=1 {
                 for dy in -1..=1 {
                     for dx in -1..=1 {
-                        if let Some(i) = self.get([key[0] + dx, key[1] + dy, key[2] + dz]) {
+                        if let Some(i) = self.get([
+                            key[0].saturating_add(dx),
+                            key[1].saturating_add(dy),
+                            key[2].saturating_add(dz),
+                        ]) {
                             sum.merge(&self.moments[i]);
                         }
                     }
@@ -138,10 +142,17 @@ impl Cells {
 
 /// Normals of the surface that all frames measured.
 pub(crate) struct PlaneMap {
+    center_w: DVec3,
     cell_m: f64,
+    /// From the smallest cells to the largest.
+    levels: Vec<Level>,
+}
+
+/// The cells of one size.
+struct Level {
     cells: Cells,
-    /// Normal of each of the smallest cells in the world, zero where there is none, and whether a window is flat.
-    normals_w: Vec<(DVec3, bool)>,
+    /// Normal of each cell in the world, from the largest flat window; `None` where no window is flat.
+    flat_w: Vec<Option<DVec3>>,
 }
 
 impl PlaneMap {
@@ -150,8 +161,8 @@ impl PlaneMap {
         for (points, x) in points.iter().zip(poses) {
             for point in points.iter().filter(|p| p.n_c != DVec3::ZERO) {
                 let p_w = x.transform_point(point.p_c);
-                let m = cells.entry(key_of(p_w, cell_m));
                 let p = p_w - center_w;
+                let m = cells.entry(key_of(p, cell_m));
                 m.count += 1.0;
                 m.sum += p;
                 m.normals += x.rotation * point.n_c;
@@ -169,46 +180,54 @@ impl PlaneMap {
         let mut all: Vec<f64> = planes[0].iter().flatten().map(|p| p.1).collect();
         all.sort_by(f64::total_cmp);
         let typical = all.get(all.len() / 2).copied().unwrap_or(1.0);
-        let normal = |(key, own): (&[i32; 3], &Moments)| {
-            let mut found = (own.normals.try_normalize().unwrap_or(DVec3::ZERO), false);
-            for (l, (cells, planes)) in levels.iter().zip(&planes).enumerate() {
-                match cells.get(key.map(|k| k >> l)).and_then(|i| planes[i]) {
-                    Some((n, thickness)) if thickness <= FLAT * typical => found = (n, true),
+        let flat_from = |first: usize, key: &[i32; 3]| {
+            let mut found = None;
+            for (l, (cells, planes)) in levels.iter().zip(&planes).enumerate().skip(first) {
+                match cells.get(key.map(|k| k >> (l - first))).and_then(|i| planes[i]) {
+                    Some((n, thickness)) if thickness <= FLAT * typical => found = Some(n),
                     _ => break,
                 }
             }
             found
         };
-        let finest = &levels[0];
-        let normals_w = finest.keys.par_iter().zip(&finest.moments).map(normal).collect();
-        Self { cell_m, cells: levels.swap_remove(0), normals_w }
+        let flat_w: Vec<Vec<Option<DVec3>>> =
+            (0..LEVELS).map(|l| levels[l].keys.par_iter().map(|key| flat_from(l, key)).collect()).collect();
+        let levels = levels.into_iter().zip(flat_w).map(|(cells, flat_w)| Level { cells, flat_w });
+        Self { center_w, cell_m, levels: levels.collect() }
     }
 
-    fn normal_w(&self, p_w: DVec3) -> (DVec3, bool) {
-        self.cells.get(key_of(p_w, self.cell_m)).map_or((DVec3::ZERO, false), |i| self.normals_w[i])
-    }
-
-    /// Replaces the normals of a frame by those of the map.
-    pub(crate) fn apply(&self, view: &mut PreparedFrame, x_wc: &DPose3) {
-        let k = view.intrinsics;
-        let back = x_wc.rotation.inverse();
-        for y in 0..k.height {
-            for x in 0..k.width {
-                let s = &mut view.surface[y * k.width + x];
-                if s.z <= 0.0 {
-                    continue;
-                }
-                let z = f64::from(s.z);
-                let p = pixel_point(&k, x as i64, y as i64, z);
-                let (n_w, is_flat) = self.normal_w(x_wc.transform_point(p));
-                let n = back * n_w;
-                s.n = if n.dot(p) < 0.0 { n.as_vec3().to_array() } else { [0.0; 3] };
-                s.is_flat = is_flat;
-            }
+    /// Returns the normal at a point, and whether its surroundings are flat. `None` if no cell with points tells it.
+    fn normal_w(&self, p_w: DVec3) -> Option<(DVec3, bool)> {
+        let key = key_of(p_w - self.center_w, self.cell_m);
+        // Points of a frame lie further apart where the surface is near: a larger cell then tells what a small one cannot.
+        for (l, level) in self.levels.iter().enumerate() {
+            let Some(i) = level.cells.get(key.map(|k| k >> l)) else { continue };
+            let mean = || level.cells.moments[i].normals.try_normalize().map(|n| (n, false));
+            return level.flat_w[i].map(|n| (n, true)).or_else(|| if l == 0 { mean() } else { None });
         }
+        None
+    }
+
+    /// Returns the directions of a frame: those of the map, and the frame's own where the map has none.
+    pub(crate) fn directions(&self, view: &PreparedFrame, x_wc: &DPose3) -> Vec<Direction> {
+        let k = &view.intrinsics;
+        let back = x_wc.rotation.inverse();
+        let of = |(i, (s, own)): (usize, (&DepthSample, &Direction))| {
+            if s.z <= 0.0 {
+                return Direction::default();
+            }
+            let p = pixel_point(k, (i % k.width) as i64, (i / k.width) as i64, s.z.into());
+            let Some((n_w, is_flat)) = self.normal_w(x_wc.transform_point(p)) else {
+                return Direction { is_flat: false, ..*own };
+            };
+            let n = back * n_w;
+            Direction { n: if n.dot(p) < 0.0 { n.as_vec3().to_array() } else { [0.0; 3] }, is_flat }
+        };
+        view.depth.iter().zip(&view.directions).enumerate().map(of).collect()
     }
 }
 
-fn key_of(p_w: DVec3, cell_m: f64) -> [i32; 3] {
-    (p_w / cell_m).floor().to_array().map(|v| v as i32)
+/// Returns the cell of a point, relative to the centre.
+fn key_of(p: DVec3, cell_m: f64) -> [i32; 3] {
+    (p / cell_m).floor().to_array().map(|v| v as i32)
 }

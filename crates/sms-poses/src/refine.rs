@@ -7,11 +7,12 @@ use crate::floor::{PairFloor, PairForm};
 use crate::given::{GivenNoise, GivenPoses, hand_eye_after};
 use crate::graph::{Graph, choose_pairs};
 use crate::histogram::{Histogram, ResidualStats};
-use crate::linear::{HAND_EYE, Six, System};
+use crate::linear::{COMMON, HAND_EYE, Six, System};
 use crate::pair::{PairSums, ShiftSums};
+use crate::planes::PlaneMap;
 use crate::residual::{Arc, Brightness, LinearisationPoint, Phase, Weighing, linearise};
 use crate::size::SizeUncertainty;
-use crate::views::{Point, PreparedFrame};
+use crate::views::{DirectedFrame, Direction, Point, PreparedFrame};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use sms_core::{Cancel, CoreError, Progress};
@@ -27,17 +28,21 @@ pub(crate) struct BundleAdjustment<'a> {
     pub(crate) center_w: DVec3,
     /// Distance of the measured points from it (root mean square), metres.
     arm_m: f64,
+    /// Mean depth of each frame, metres.
+    depths_m: Vec<f64>,
 }
 
 /// The values that the refinement estimates, and the weights of its next iteration.
 struct RefinementState {
-    /// The frames with the present normals.
-    views: Vec<PreparedFrame>,
+    /// Surface directions of each frame under the present poses.
+    directions: Vec<Vec<Direction>>,
     poses: Vec<DPose3>,
     /// Correction of the hand-eye pose: `given · hand_eye` is near the pose of the camera.
     hand_eye: DPose3,
     /// Shift of the colour against the depth, pixels at loaded size.
     color_shift: [f64; 2],
+    /// Size of a shift that is held at zero, as it was estimated.
+    apparent_shift_px: [f64; 2],
     phase: Phase,
     arcs: Vec<Arc>,
     weighing: Weighing,
@@ -51,6 +56,8 @@ pub(crate) struct Refined {
     /// Shift of the colour against the depth, pixels at loaded size.
     pub(crate) color_shift_px: [f64; 2],
     pub(crate) hand_eye: DPose3,
+    /// Deviation of each frame from its given pose with the hand-eye correction: metres, radians.
+    pub(crate) deviations: Vec<[f64; 2]>,
     pub(crate) noise: GivenNoise,
     pub(crate) floor: PairFloor,
     /// `None` if it cannot be computed.
@@ -58,12 +65,13 @@ pub(crate) struct Refined {
     pub(crate) iterations: usize,
 }
 
-/// Rounds of estimating the noise and refining with it.
+/// Rounds of estimating the noise and refining with it, after a first refinement near the solution.
 const NOISE_ROUNDS: usize = 2;
 /// Steps of expectation maximisation in a round.
 const NOISE_STEPS: usize = 4;
-/// Size of the smallest cells of the surface, pixels of the finest level: two points of a frame are two pixels apart.
-const CELL_PX: f64 = 1.5;
+/// Size of the smallest cells of the surface relative to the distance between two points of a frame: neighbouring frames
+/// then fill them.
+const CELL_SHARE: f64 = 0.75;
 /// Weight of a value that is not estimated.
 const HELD: f64 = 1e12;
 /// Standard deviations beyond which a colour shift is not chance.
@@ -86,17 +94,20 @@ impl<'a> BundleAdjustment<'a> {
     pub(crate) fn new(views: &'a [PreparedFrame], given: &'a [DPose3], config: &'a PosesConfig) -> Self {
         let mut sum = DVec3::ZERO;
         let (mut square, mut count) = (0.0, 0usize);
+        let mut depths_m = Vec::with_capacity(views.len());
         for (view, x) in views.iter().zip(given) {
-            for point in view.points(view.luma.len() - 1, 2.0, [0.5, 0.5], [0.0; 2], config) {
+            let points = view.alone().points(view.luma.len() - 1, 2.0, [0.5, 0.5], [0.0; 2], config);
+            for point in &points {
                 let p_w = x.transform_point(point.p_c);
                 sum += p_w;
                 square += p_w.length_squared();
-                count += 1;
             }
+            count += points.len();
+            depths_m.push(points.iter().map(|p| p.p_c.z).sum::<f64>() / points.len().max(1) as f64);
         }
         let center_w = if count > 0 { sum / count as f64 } else { DVec3::ZERO };
         let arm_m = (square / count.max(1) as f64 - center_w.length_squared()).max(0.0).sqrt();
-        Self { views, given, graph: choose_pairs(views, given, config), config, center_w, arm_m }
+        Self { views, given, graph: choose_pairs(views, given, config), config, center_w, arm_m, depths_m }
     }
 
     /// Returns the frames without a pair; only the prior constrains them.
@@ -107,21 +118,20 @@ impl<'a> BundleAdjustment<'a> {
 
     /// Returns the first gate for projected points, metres: the errors of the given poses at the scene's distance.
     pub(crate) fn widest_gate_m(&self) -> f64 {
-        let distance =
-            self.given.iter().map(|x| (x.translation - self.center_w).length()).fold(0.0, f64::max).min(10.0);
-        4.0 * (self.config.prior_position_m + self.config.prior_rotation_rad * distance)
+        let depth_m = self.depths_m.iter().copied().fold(0.0, f64::max).min(10.0);
+        4.0 * (self.config.prior_position_m + self.config.prior_rotation_rad * depth_m)
     }
 
     pub(crate) fn linearise_all(
         &self,
-        views: &[PreparedFrame],
+        views: &[DirectedFrame<'_>],
         arcs: &[Arc],
         points: &[Vec<Point>],
         at: LinearisationPoint<'_>,
         weighing: &Weighing,
     ) -> Vec<PairSums> {
         let sums = |arc: &Arc| {
-            let (points, into) = (&points[arc.from], &views[arc.to]);
+            let (points, into) = (&points[arc.from], views[arc.to]);
             linearise(points, into, arc, at, self.center_w, weighing, self.config)
         };
         arcs.par_iter().map(sums).collect()
@@ -136,25 +146,34 @@ impl<'a> BundleAdjustment<'a> {
         let points: Vec<Vec<Point>> = self
             .views
             .par_iter()
-            .map(|v| v.points(0, self.config.point_stride, [0.5, 0.5], [0.0; 2], self.config))
+            .map(|v| v.alone().points(0, self.config.point_stride, [0.5, 0.5], [0.0; 2], self.config))
             .collect();
-        let cell_m = CELL_PX * self.pixel_at_scene_m(0);
-        let map = crate::planes::PlaneMap::new(&points, &estimate.poses, self.center_w, cell_m);
-        let poses = &estimate.poses;
-        estimate.views.par_iter_mut().zip(poses).for_each(|(v, x)| map.apply(v, x));
+        let cell_m = CELL_SHARE * self.config.point_stride * self.pixel_at_scene_m(0);
+        let map = PlaneMap::new(&points, &estimate.poses, self.center_w, cell_m);
+        estimate.directions =
+            self.views.par_iter().zip(&estimate.poses).map(|(v, x)| map.directions(v, x)).collect();
+    }
+
+    /// Returns the frames with the directions of the estimate.
+    fn directed<'b>(&'b self, estimate: &'b RefinementState) -> Vec<DirectedFrame<'b>> {
+        let with = |(frame, directions): (&'b PreparedFrame, &'b Vec<Direction>)| DirectedFrame {
+            frame,
+            directions,
+        };
+        self.views.iter().zip(&estimate.directions).map(with).collect()
     }
 
     /// Linearises all pairs at the estimate; returns the sums of both directions of each.
     fn pass(&self, level: usize, estimate: &RefinementState) -> Vec<PairSums> {
         let shift = estimate.color_shift;
-        let points: Vec<Vec<Point>> = estimate
-            .views
+        let views = self.directed(estimate);
+        let points: Vec<Vec<Point>> = views
             .par_iter()
             .map(|v| v.points(level, self.config.point_stride, [0.5, 0.5], shift, self.config))
             .collect();
         let phase = estimate.phase;
         let at = LinearisationPoint { level, poses: &estimate.poses, color_shift: shift, phase };
-        self.linearise_all(&estimate.views, &estimate.arcs, &points, at, &estimate.weighing)
+        self.linearise_all(&views, &estimate.arcs, &points, at, &estimate.weighing)
     }
 
     /// Returns the quadratic form of each pair of frames. Gain and offset are eliminated.
@@ -245,7 +264,8 @@ impl<'a> BundleAdjustment<'a> {
 
     /// Estimates the noise floor of the pairs and the noise of the given poses from the forms at the estimate.
     fn estimate_noise(&self, forms: &[PairForm], estimate: &mut RefinementState, shift_is_free: [bool; 2]) {
-        let unknown = 6 * estimate.poses.len().saturating_sub(1);
+        let paired = estimate.poses.len() - self.frames_without_pairs().len();
+        let unknown = 6 * paired.saturating_sub(1);
         estimate.floor = PairFloor::fitted(forms, self.arm_m, unknown);
         let floored = estimate.floor.applied_to_all(forms);
         for _ in 0..NOISE_STEPS {
@@ -259,9 +279,8 @@ impl<'a> BundleAdjustment<'a> {
     /// Returns the size of one pixel of a level at the scene, metres.
     fn pixel_at_scene_m(&self, level: usize) -> f64 {
         let (mut sum, n) = (0.0, self.views.len().max(1));
-        for (view, x) in self.views.iter().zip(self.given) {
-            let distance = (x.translation - self.center_w).length();
-            sum += view.intrinsics.pixel_footprint(distance) * view.scale(level);
+        for (view, depth_m) in self.views.iter().zip(&self.depths_m) {
+            sum += view.intrinsics.pixel_footprint(*depth_m) * view.scale(level);
         }
         sum / n as f64
     }
@@ -272,12 +291,8 @@ impl<'a> BundleAdjustment<'a> {
         sums.iter().for_each(|pair| seen.merge(&pair.seen));
         let scale = |h: &Histogram| h.median().map_or(1.0, |m| (1.4826 * m).max(1.0));
         let depth_scale = scale(&seen.depth);
-        // σ of the difference of two measurements at the scene's typical distance.
-        let sigma_m = self
-            .given
-            .iter()
-            .map(|x| self.config.noise.sigma_m((x.translation - self.center_w).length()))
-            .fold(0.0, f64::max)
+        // σ of the difference of two measurements in the frame from furthest away.
+        let sigma_m = self.depths_m.iter().map(|z| self.config.noise.sigma_m(*z)).fold(0.0, f64::max)
             * std::f64::consts::SQRT_2;
         Weighing {
             depth_scale,
@@ -292,10 +307,11 @@ impl<'a> BundleAdjustment<'a> {
         let planned: usize = self.config.iterations[..levels].iter().sum();
         progress.begin("poses", planned as u64);
         let mut estimate = RefinementState {
-            views: self.views.to_vec(),
+            directions: self.views.iter().map(|v| v.directions.clone()).collect(),
             poses: self.given.to_vec(),
             hand_eye: DPose3::identity(),
             color_shift: [0.0; 2],
+            apparent_shift_px: [0.0; 2],
             phase: Phase::Approach,
             arcs: arcs(&self.graph.pairs),
             weighing: Weighing { depth_scale: 10.0, color_scale: 4.0, gate_m: self.widest_gate_m() },
@@ -315,25 +331,23 @@ impl<'a> BundleAdjustment<'a> {
             done += self.config.iterations[level];
         }
         estimate.phase = Phase::Estimate;
-        for _ in 0..if levels > 0 { NOISE_ROUNDS } else { 0 } {
-            let forms = self.forms(&self.pass(0, &estimate));
-            self.estimate_noise(&forms, &mut estimate, free);
-            if free.contains(&true) {
-                let is_shifted = self.is_shifted(&forms, &estimate, free);
-                (0..2).for_each(|k| free[k] &= is_shifted[k]);
-            }
-            for k in 0..2 {
-                estimate.color_shift[k] *= f64::from(u8::from(free[k]));
-            }
+        for round in 0..if levels > 0 { 1 + NOISE_ROUNDS } else { 0 } {
             self.fuse_normals(&mut estimate);
             let tick = |message: &str| progress.update(done as u64, message);
             iterations += self.refine_level(0, &mut estimate, free, cancel, tick)?;
+            if round == NOISE_ROUNDS {
+                break;
+            }
+            let forms = self.forms(&self.pass(0, &estimate));
+            self.estimate_noise(&forms, &mut estimate, free);
+            self.hold_insignificant_shifts(&forms, &mut estimate, &mut free);
         }
         let uncertainty = if levels > 0 { self.uncertainty(&estimate, free) } else { None };
         Ok(Refined {
             poses: self.in_place(&estimate.poses),
             color_shift_px: estimate.color_shift,
             hand_eye: estimate.hand_eye,
+            deviations: self.given_poses().lengths(&estimate.poses, &estimate.hand_eye),
             noise: estimate.noise,
             floor: estimate.floor,
             uncertainty,
@@ -354,33 +368,55 @@ impl<'a> BundleAdjustment<'a> {
         let prior = self.prior(estimate, shift_is_free);
         let inverse = system.inverse()?;
         let pairs = &self.graph.pairs;
-        Some(f(&Covariance { inverse: &inverse, prior: &prior, pairs, forms: &forms }))
+        // A shift that is held at zero may still be real: it counts with the size that the data show.
+        let shifted = |k: usize| {
+            let mut common = [0.0; COMMON];
+            common[k] = HELD * estimate.apparent_shift_px[k];
+            inverse.times(&vec![[0.0; 6]; estimate.poses.len()], &common)
+        };
+        let considered = (0..2).filter(|&k| !shift_is_free[k]).map(shifted).collect();
+        Some(f(&Covariance { inverse: &inverse, prior: &prior, pairs, forms: &forms, considered }))
     }
 
-    /// Returns whether the colour is shifted against the depth along x and y by more than chance, and by more than the error
-    /// that all points may share: shading that changes with the view, and depth that is wrong at edges.
-    fn is_shifted(
+    /// Sets the shift of the colour along x and y to zero, and holds it there, unless it is larger than chance and than the
+    /// error that all points may share: shading that changes with the view, and depth that is wrong at edges.
+    fn hold_insignificant_shifts(
         &self,
         forms: &[PairForm],
-        estimate: &RefinementState,
-        shift_is_free: [bool; 2],
-    ) -> [bool; 2] {
+        estimate: &mut RefinementState,
+        shift_is_free: &mut [bool; 2],
+    ) {
+        if !shift_is_free.contains(&true) {
+            return;
+        }
         let sigmas =
-            self.with_covariance(forms, estimate, shift_is_free, |c| [0, 1].map(|k| c.common_sigma(k)));
+            self.with_covariance(forms, estimate, *shift_is_free, |c| [0, 1].map(|k| c.common_sigma(k)));
         let slip_px = self.config.color_slip_px * self.views.first().map_or(1.0, |v| v.scale(0));
-        let is_more = |k: usize, s: f64| estimate.color_shift[k].abs() > SIGNIFICANT * s.hypot(slip_px);
-        sigmas.map_or([false; 2], |s| [0, 1].map(|k| is_more(k, s[k])))
+        for k in (0..2).filter(|&k| shift_is_free[k]).collect::<Vec<_>>() {
+            let shift_px = estimate.color_shift[k];
+            // Without a standard deviation, nothing tells that it is more than chance.
+            let sigma_px = sigmas.and_then(|s| s[k]);
+            if sigma_px.is_none_or(|s| shift_px.abs() <= SIGNIFICANT * s.hypot(slip_px)) {
+                shift_is_free[k] = false;
+                estimate.apparent_shift_px[k] = shift_px.hypot(sigma_px.unwrap_or(slip_px));
+                estimate.color_shift[k] = 0.0;
+            }
+        }
     }
 
     /// Returns the uncertainty of the scene's size.
     fn uncertainty(&self, estimate: &RefinementState, shift_is_free: [bool; 2]) -> Option<SizeUncertainty> {
         let coarse = self.views.first()?.luma.len() - 1;
-        let points: Vec<Vec<Point>> =
-            self.views.iter().map(|v| v.points(coarse, 1.0, [0.5; 2], [0.0; 2], self.config)).collect();
+        let points: Vec<Vec<Point>> = self
+            .directed(estimate)
+            .iter()
+            .map(|v| v.points(coarse, 1.0, [0.5; 2], [0.0; 2], self.config))
+            .collect();
         let forms = self.forms(&self.pass(0, estimate));
         self.with_covariance(&forms, estimate, shift_is_free, |covariance| {
             SizeUncertainty::of(covariance, &estimate.poses, &points, self.center_w)
         })
+        .flatten()
     }
 
     /// Removes the common rigid motion: aligns the measured points with their positions under the given poses, so that
@@ -388,7 +424,7 @@ impl<'a> BundleAdjustment<'a> {
     fn in_place(&self, poses: &[DPose3]) -> Vec<DPose3> {
         let (mut from, mut to) = (Vec::new(), Vec::new());
         for ((view, given), refined) in self.views.iter().zip(self.given).zip(poses) {
-            for point in view.points(view.luma.len() - 1, 2.0, [0.5, 0.5], [0.0; 2], self.config) {
+            for point in view.alone().points(view.luma.len() - 1, 2.0, [0.5, 0.5], [0.0; 2], self.config) {
                 from.push(refined.transform_point(point.p_c));
                 to.push(given.transform_point(point.p_c));
             }

@@ -35,26 +35,22 @@ impl HandEye {
 /// Estimated standard deviations of the given poses per axis, after the correction that they share.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct GivenSigma {
-    /// Of a position, metres.
+    /// Of a position, in the mean over the frames, metres.
     pub position_m: f64,
     /// Of a rotation, radians.
     pub rotation_rad: f64,
-    /// Of the change of the position between consecutive frames, metres; `None` if it is not more certain than the
-    /// positions.
+    /// Of the change of the position between consecutive frames, metres; `None` unless consecutive frames share most of
+    /// their error, as with a drift.
     pub step_m: Option<f64>,
     /// Of the change of the rotation between consecutive frames, radians.
     pub step_rad: Option<f64>,
 }
 
 impl GivenSigma {
-    pub(crate) fn of(noise: &GivenNoise) -> Self {
-        let step = |precision: f64| (precision > 0.0).then(|| precision.powf(-0.5));
-        Self {
-            position_m: noise.frame[1].powf(-0.5),
-            rotation_rad: noise.frame[0].powf(-0.5),
-            step_m: step(noise.step[1]),
-            step_rad: step(noise.step[0]),
-        }
+    pub(crate) fn of(noise: &GivenNoise, frames: usize) -> Self {
+        let [rotation_rad, position_m] = noise.sigma(frames);
+        let [step_rad, step_m] = noise.step_sigma(frames);
+        Self { position_m, rotation_rad, step_m, step_rad }
     }
 }
 
@@ -93,9 +89,9 @@ pub struct PoseReport {
     /// Standard deviation of the registration of two frames beyond the noise of their points, metres.
     #[serde(default)]
     pub pair_floor_m: f64,
-    /// Uncertainty of the scene's size.
+    /// Uncertainty of the scene's size; `None` if it cannot be computed.
     #[serde(default)]
-    pub size: SizeUncertainty,
+    pub size: Option<SizeUncertainty>,
     /// Correction of each frame.
     pub corrections: Vec<PoseCorrection>,
     /// Comparison of given and refined poses on held-out pairs.
@@ -140,6 +136,10 @@ impl PoseReport {
             m.set("poses.color_before", j.before.color_median).set("poses.color_after", j.after.color_median);
             m.set("poses.color_shift_x_px", self.color_shift_px[0]);
             m.set("poses.color_shift_y_px", self.color_shift_px[1]);
+            if let Some(size) = &self.size {
+                m.set("poses.scale_sigma", size.scale_sigma);
+                m.set("poses.size_sigma_m", size.weakest().map(|e| e.sigma_m));
+            }
             m.set("poses.depth_gain", j.depth.share).set("poses.depth_gain_t", j.depth.t);
             m.set("poses.color_gain", j.color.share).set("poses.color_gain_t", j.color.t);
         }
@@ -165,7 +165,10 @@ impl PoseReport {
         );
         let by = format!("{:.1} mm and {:.2}° (median)", 1e3 * shift, turn.to_degrees());
         match self.verdict {
-            PoseVerdict::Refined => format!("poses refined by {by}: {residuals}"),
+            PoseVerdict::Refined => {
+                let size = self.size.as_ref().map(|s| format!("; {}", s.summary())).unwrap_or_default();
+                format!("poses refined by {by}: {residuals}{size}")
+            }
             _ => format!("poses kept as given: a refinement by {by} was no improvement ({residuals})"),
         }
     }

@@ -14,7 +14,7 @@ use crate::histogram::ResidualStats;
 use crate::linear::Six;
 use crate::luma::sample;
 use crate::pair::{ColorRow, PairSums, Sums};
-use crate::views::{Point, PreparedFrame, pixel_point, sigma_along_normal};
+use crate::views::{DirectedFrame, Point, PreparedFrame, pixel_point, sigma_along_normal};
 use glamx::{DMat3, DPose3, DVec3, Vec3};
 use sms_core::Intrinsics;
 
@@ -138,25 +138,26 @@ pub(crate) struct Meeting {
     pub(crate) sigma_z_m: f64,
     /// Whether both surfaces have a direction, and look to the same side.
     pub(crate) faces: bool,
-    /// See [`crate::views::SurfaceSample`].
+    /// See [`crate::views::DepthSample`].
     pub(crate) at_edge: bool,
-    /// See [`crate::views::SurfaceSample`].
+    /// See [`crate::views::Direction`].
     pub(crate) is_flat: bool,
 }
 
 /// Returns the surface of `view` at the projection of `p`, whose normal is `n_p`; `None` if there is none within the gate.
-pub(crate) fn meeting(p: DVec3, n_p: DVec3, view: &PreparedFrame, gate_m: f64) -> Option<Meeting> {
+pub(crate) fn meeting(p: DVec3, n_p: DVec3, view: DirectedFrame<'_>, gate_m: f64) -> Option<Meeting> {
     // Normals that differ by more than 60° belong to different surfaces.
     const LEAST_COSINE: f64 = 0.5;
-    let k: &Intrinsics = &view.intrinsics;
+    let k: &Intrinsics = &view.frame.intrinsics;
     if p.z <= 1e-3 {
         return None;
     }
     let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
-    let (x, y, surface) = view.surface_at(u, v)?;
-    let z = f64::from(surface.z);
+    let (x, y) = view.frame.measured_at(u, v)?;
+    let (measured, direction) = (&view.frame.depth[y * k.width + x], &view.directions[y * k.width + x]);
+    let z = f64::from(measured.z);
     let q = pixel_point(k, x as i64, y as i64, z);
-    let n = Vec3::from(surface.n).as_dvec3();
+    let n = Vec3::from(direction.n).as_dvec3();
     let has_plane = n != DVec3::ZERO;
     let off = if has_plane { n.dot(p - q) } else { p.z - q.z };
     // A point whose surface looks away from the camera is hidden from it: it met the surface in front of it.
@@ -164,17 +165,17 @@ pub(crate) fn meeting(p: DVec3, n_p: DVec3, view: &PreparedFrame, gate_m: f64) -
     (off.abs() <= gate_m && !is_hidden).then_some(Meeting {
         q,
         n,
-        sigma_z_m: surface.sigma_z_m.into(),
+        sigma_z_m: measured.sigma_z_m.into(),
         faces: has_plane && n.dot(n_p) > LEAST_COSINE,
-        at_edge: surface.at_edge,
-        is_flat: surface.is_flat,
+        at_edge: measured.at_edge,
+        is_flat: direction.is_flat,
     })
 }
 
 /// Maps points of frame i (`arc.from`) into frame j (`arc.to`, which is `view_j`) and sums up their linearised residuals.
 pub(crate) fn linearise(
     points: &[Point],
-    view_j: &PreparedFrame,
+    view_j: DirectedFrame<'_>,
     arc: &Arc,
     at: LinearisationPoint<'_>,
     center_w: DVec3,
@@ -211,14 +212,16 @@ pub(crate) fn linearise(
         // Without a direction of the surface, the derivatives of both images cannot be compared.
         if config.use_color && point.textured && met.faces {
             let expected = brightness.expected(point.luma);
-            let Some((r, slope)) = color_residual(p, view_j, level, color_shift, expected) else { continue };
+            let Some((r, slope)) = color_residual(p, view_j.frame, level, color_shift, expected) else {
+                continue;
+            };
             let sigma = config.color_sigma.hypot(config.color_slip_px * slope[0].hypot(slope[1]));
             let e = r.residual / sigma;
             seen.color.add(e.abs());
             seen.color_levels.add(r.residual.abs());
             let weight = tukey(e, weighing.color_scale) / (sigma * weighing.color_scale).powi(2);
             let gain = 1.0 + brightness.gain / 64.0;
-            let gradients = Gradients { p, n: n_i, turn: &turn, point, k_j: &view_j.intrinsics };
+            let gradients = Gradients { p, n: n_i, turn: &turn, point, k_j: &view_j.frame.intrinsics };
             if let Some((by_i, by_j)) = gradients.rows(gain, &r, center).filter(|_| weight > 0.0) {
                 sums.add_color(&by_i, &by_j, r.residual, weight);
             }
@@ -270,7 +273,7 @@ impl Gradients<'_> {
 mod tests {
     use super::*;
     use crate::align::moved_about;
-    use crate::views::SurfaceSample;
+    use crate::views::{DepthSample, Direction};
     use proptest::prelude::*;
     use sms_core::Image;
 
@@ -285,7 +288,8 @@ mod tests {
         let luma = vec![Image::from_vec(48, 32, (0..48 * 32).map(wave).collect())];
         PreparedFrame {
             intrinsics,
-            surface: vec![SurfaceSample::default(); 48 * 32],
+            depth: vec![DepthSample::default(); 48 * 32],
+            directions: vec![Direction::default(); 48 * 32],
             luma,
             finest_scale: 1.0,
         }

@@ -8,6 +8,7 @@ use crate::covariance::Covariance;
 use crate::linear::{COMMON, Row};
 use crate::views::Point;
 use glamx::{DPose3, DVec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Number of horizontal directions in which the distance between faces is examined.
@@ -38,22 +39,39 @@ pub struct SizeUncertainty {
 }
 
 impl SizeUncertainty {
-    /// Computes it from the covariance of the poses and the points of each frame.
+    /// Returns the least certain distance.
+    pub fn weakest(&self) -> Option<&ExtentUncertainty> {
+        self.extents.iter().max_by(|a, b| a.sigma_m.total_cmp(&b.sigma_m))
+    }
+
+    /// Returns a statement for people: 90 % intervals.
+    pub(crate) fn summary(&self) -> String {
+        const NINETY: f64 = 1.645;
+        let scale = format!("scale known to ±{:.2} %", 1e2 * NINETY * self.scale_sigma);
+        self.weakest().map_or(scale.clone(), |e| {
+            let (most_mm, size_mm) = (1e3 * NINETY * e.sigma_m, 1e3 * e.distance_m);
+            format!("{scale}, and a distance of {size_mm:.0} mm between opposite faces to ±{most_mm:.1} mm")
+        })
+    }
+
+    /// Computes it from the covariance of the poses and the points of each frame; `None` if the covariance does not
+    /// determine it.
     pub(crate) fn of(
         covariance: &Covariance<'_>,
         poses: &[DPose3],
         points: &[Vec<Point>],
         center_w: DVec3,
-    ) -> Self {
-        let scale_sigma = covariance.sigma(&scale_row(poses, center_w));
+    ) -> Option<Self> {
+        let scale_sigma = covariance.sigma(&scale_row(poses, center_w))?;
         let extent = |k: usize| {
             let angle = std::f64::consts::PI * k as f64 / DIRECTIONS as f64;
             let direction_w = DVec3::new(angle.cos(), angle.sin(), 0.0);
             let (row, distance_m) = extent_row(direction_w, poses, points, center_w)?;
-            let sigma_m = covariance.sigma(&row);
+            let sigma_m = covariance.sigma(&row)?;
             Some(ExtentUncertainty { direction_w: direction_w.to_array(), sigma_m, distance_m })
         };
-        Self { scale_sigma, extents: (0..DIRECTIONS).filter_map(extent).collect() }
+        let extents = (0..DIRECTIONS).into_par_iter().filter_map(extent).collect();
+        Some(Self { scale_sigma, extents })
     }
 }
 
@@ -102,5 +120,6 @@ fn extent_row(
         .iter()
         .enumerate()
         .map(|(i, own)| (i, std::array::from_fn(|a| own[1][a] / high - own[0][a] / low)));
-    Some((Row { frames: frames.collect(), common: [0.0; COMMON] }, sums[1] / high - sums[0] / low))
+    let distance_m = (sums[1] / high - sums[0] / low).abs();
+    Some((Row { frames: frames.collect(), common: [0.0; COMMON] }, distance_m))
 }

@@ -7,13 +7,10 @@ use rayon::prelude::*;
 use sms_core::Intrinsics;
 use sms_frames::{Frame, Sequence, normals_from_depth};
 
-/// Depth and surface direction at one pixel; `z` is 0 without a measurement, `n` without a direction.
+/// Depth at one pixel; `z` is 0 without a measurement.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct SurfaceSample {
+pub(crate) struct DepthSample {
     pub(crate) z: f32,
-    pub(crate) n: [f32; 3],
-    /// Whether the surroundings are flat within their noise.
-    pub(crate) is_flat: bool,
     /// Standard deviation of the depth, metres, at the mean depth of the neighbourhood. A weight that followed the measured
     /// depth would prefer points that seem near: by 4σ²/z.
     pub(crate) sigma_z_m: f32,
@@ -21,16 +18,33 @@ pub(crate) struct SurfaceSample {
     pub(crate) at_edge: bool,
 }
 
+/// Surface direction at one pixel in the camera; `n` is zero without a direction.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Direction {
+    pub(crate) n: [f32; 3],
+    /// Whether the surroundings are flat within their noise.
+    pub(crate) is_flat: bool,
+}
+
 /// One frame prepared for comparison.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct PreparedFrame {
     pub(crate) intrinsics: Intrinsics,
-    /// Surface at each pixel of the loaded size.
-    pub(crate) surface: Vec<SurfaceSample>,
+    /// Depth at each pixel of the loaded size.
+    pub(crate) depth: Vec<DepthSample>,
+    /// Surface directions that the frame alone shows.
+    pub(crate) directions: Vec<Direction>,
     /// Brightness, the finest level first.
     pub(crate) luma: Vec<Luma>,
     /// Pixels of the loaded size per pixel of the finest level.
     pub(crate) finest_scale: f64,
+}
+
+/// A frame with surface directions from elsewhere, or with its own.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct DirectedFrame<'a> {
+    pub(crate) frame: &'a PreparedFrame,
+    pub(crate) directions: &'a [Direction],
 }
 
 /// A measured point of a frame.
@@ -59,19 +73,20 @@ pub(crate) struct Point {
 impl PreparedFrame {
     fn new(frame: &Frame, levels: usize, halvings: usize, config: &PosesConfig) -> Self {
         // Values that are not finite count as not measured.
-        let surface = |(&z, &n): (&f32, &[f32; 3])| SurfaceSample {
+        let sample = |&z: &f32| DepthSample {
             z: if z.is_finite() { z.max(0.0) } else { 0.0 },
+            ..DepthSample::default()
+        };
+        let direction = |&n: &[f32; 3]| Direction {
             n: if n.iter().all(|v| v.is_finite()) { n } else { [0.0; 3] },
             is_flat: true,
-            sigma_z_m: 0.0,
-            at_edge: false,
         };
         let k = &frame.camera.intrinsics;
         let normals = normals_from_depth(&frame.depth, k, &config.noise, config.normal_radius_px);
-        let mut surface: Vec<SurfaceSample> =
-            frame.depth.data.iter().zip(&normals.data).map(surface).collect();
-        set_sigmas(&mut surface, k, config);
-        mark_edges(&mut surface, k, config);
+        let mut depth: Vec<DepthSample> = frame.depth.data.iter().map(sample).collect();
+        let directions: Vec<Direction> = normals.data.iter().map(direction).collect();
+        set_sigmas(&mut depth, k, config);
+        mark_edges(&mut depth, &directions, k, config);
         let mut finest = luma(&frame.color);
         for _ in 0..halvings {
             finest = half(&finest);
@@ -80,7 +95,8 @@ impl PreparedFrame {
         while luma.len() < levels {
             luma.push(half(&luma[luma.len() - 1]));
         }
-        Self { intrinsics: frame.camera.intrinsics, surface, luma, finest_scale: 2f64.powi(halvings as i32) }
+        let finest_scale = 2f64.powi(halvings as i32);
+        Self { intrinsics: frame.camera.intrinsics, depth, directions, luma, finest_scale }
     }
 
     /// Returns the pixels of the loaded size per pixel of a level.
@@ -88,17 +104,23 @@ impl PreparedFrame {
         self.finest_scale * 2f64.powi(level as i32)
     }
 
-    /// Returns the pixel that contains (u, v) and its surface; `None` outside or without depth.
-    pub(crate) fn surface_at(&self, u: f64, v: f64) -> Option<(usize, usize, SurfaceSample)> {
+    /// Returns the pixel that contains (u, v); `None` outside or without depth.
+    pub(crate) fn measured_at(&self, u: f64, v: f64) -> Option<(usize, usize)> {
         let (w, h) = (self.intrinsics.width, self.intrinsics.height);
         if !(u >= 0.0 && v >= 0.0 && u < w as f64 && v < h as f64) {
             return None;
         }
         let (x, y) = (u as usize, v as usize);
-        let surface = self.surface[y * w + x];
-        (surface.z > 0.0).then_some((x, y, surface))
+        (self.depth[y * w + x].z > 0.0).then_some((x, y))
     }
 
+    /// Returns the frame with the directions that it shows alone.
+    pub(crate) fn alone(&self) -> DirectedFrame<'_> {
+        DirectedFrame { frame: self, directions: &self.directions }
+    }
+}
+
+impl DirectedFrame<'_> {
     /// Returns the points with a depth on a grid of `stride` pixels of a level, which begins at `offset` strides. Their
     /// colour is read with an offset of `color_shift` pixels of the loaded size.
     pub(crate) fn points(
@@ -109,8 +131,8 @@ impl PreparedFrame {
         color_shift: [f64; 2],
         config: &PosesConfig,
     ) -> Vec<Point> {
-        let k = &self.intrinsics;
-        let scale = self.scale(level);
+        let (k, luma) = (&self.frame.intrinsics, &self.frame.luma[level]);
+        let scale = self.frame.scale(level);
         let step = (stride * scale).max(1.0);
         let at = |n: usize, o: f64| {
             (0..).map(move |i| ((i as f64 + o) * step) as usize).take_while(move |&x| x < n)
@@ -118,22 +140,22 @@ impl PreparedFrame {
         let mut points = Vec::new();
         for y in at(k.height, offset[1]) {
             for x in at(k.width, offset[0]) {
-                let s = self.surface[y * k.width + x];
+                let s = self.frame.depth[y * k.width + x];
                 if s.z <= 0.0 {
                     continue;
                 }
                 let (u, v, z) = (x as f64 + 0.5, y as f64 + 0.5, f64::from(s.z));
                 let p_c = pixel_point(k, x as i64, y as i64, z);
-                let n_c = Vec3::from(s.n).as_dvec3();
-                let sampled =
-                    sample(&self.luma[level], (u + color_shift[0]) / scale, (v + color_shift[1]) / scale);
+                let direction = self.directions[y * k.width + x];
+                let n_c = Vec3::from(direction.n).as_dvec3();
+                let sampled = sample(luma, (u + color_shift[0]) / scale, (v + color_shift[1]) / scale);
                 let pixel_m = [z / k.fx, z / k.fy];
                 let slope =
                     sampled.map_or([0.0; 2], |s| [s.1 / scale / pixel_m[0], s.2 / scale / pixel_m[1]]);
                 points.push(Point {
                     p_c,
                     n_c,
-                    is_flat: s.is_flat,
+                    is_flat: direction.is_flat,
                     sigma_m: sigma_along_normal(s.sigma_z_m.into(), p_c, n_c),
                     luma: sampled.map_or(0.0, |s| s.0),
                     luma_by_p: DVec3::new(slope[0], slope[1], -(slope[0] * p_c.x + slope[1] * p_c.y) / z),
@@ -149,7 +171,7 @@ impl PreparedFrame {
 
 /// Sets the noise of each measurement from the mean inverse depth of its neighbourhood on the same surface, which is exact
 /// for planes.
-fn set_sigmas(all: &mut [SurfaceSample], k: &Intrinsics, config: &PosesConfig) {
+fn set_sigmas(all: &mut [DepthSample], k: &Intrinsics, config: &PosesConfig) {
     let (w, h, reach) = (k.width as i64, k.height as i64, config.normal_radius_px as i64);
     let inverse: Vec<f64> = all.iter().map(|s| if s.z > 0.0 { 1.0 / f64::from(s.z) } else { 0.0 }).collect();
     let sigma = |i: usize| {
@@ -180,14 +202,13 @@ fn set_sigmas(all: &mut [SurfaceSample], k: &Intrinsics, config: &PosesConfig) {
 }
 
 /// Marks the measurements beside depth edges: those with a neighbour within [`PosesConfig::edge_px`] off their plane by
-/// more than noise.
-fn mark_edges(all: &mut [SurfaceSample], k: &Intrinsics, config: &PosesConfig) {
+/// more than noise, and those without a plane.
+fn mark_edges(all: &mut [DepthSample], directions: &[Direction], k: &Intrinsics, config: &PosesConfig) {
     /// Deviations from a plane beyond this many standard deviations are edges.
     const EDGE_SIGMA: f64 = 6.0;
     let (w, h) = (k.width as i64, k.height as i64);
     let reach = config.edge_px as i64;
-    let is_edge = |x: i64, y: i64, own: &SurfaceSample| {
-        let (z, n) = (f64::from(own.z), Vec3::from(own.n).as_dvec3());
+    let is_edge = |x: i64, y: i64, z: f64, n: DVec3| {
         let p = pixel_point(k, x, y, z);
         let most = EDGE_SIGMA * config.noise.sigma_m(z);
         (1..=reach).any(|d| {
@@ -201,11 +222,12 @@ fn mark_edges(all: &mut [SurfaceSample], k: &Intrinsics, config: &PosesConfig) {
             })
         })
     };
-    let marked = |(i, own): (usize, &SurfaceSample)| {
+    let marked = |(i, (own, direction)): (usize, (&DepthSample, &Direction))| {
         let (x, y) = ((i % k.width) as i64, (i / k.width) as i64);
-        own.z > 0.0 && is_edge(x, y, own)
+        let n = Vec3::from(direction.n).as_dvec3();
+        own.z > 0.0 && (n == DVec3::ZERO || is_edge(x, y, own.z.into(), n))
     };
-    let marks: Vec<bool> = all.iter().enumerate().map(marked).collect();
+    let marks: Vec<bool> = all.iter().zip(directions).enumerate().map(marked).collect();
     all.iter_mut().zip(marks).for_each(|(s, at_edge)| s.at_edge = at_edge);
 }
 

@@ -44,8 +44,7 @@ impl Sigmas {
             let found = size.extents.iter().find(|e| e.direction_w[axis].abs() > 0.999);
             found.map(|e| e.sigma_m)
         };
-        let scale = (size.scale_sigma > 0.0).then_some(size.scale_sigma);
-        Self { scale, width_m: across(0), depth_m: across(1) }
+        Self { scale: Some(size.scale_sigma), width_m: across(0), depth_m: across(1) }
     }
 }
 
@@ -81,10 +80,10 @@ fn figures(rows: &[&OrbitRow]) -> [(&'static str, f64); 13] {
         [(r.scale - 1.0, s.scale), (r.faces.width_m, s.width_m), (r.faces.depth_m, s.depth_m)]
     });
     let held: Vec<bool> = stated.filter_map(|(e, s)| Some(e.abs() <= NINETY * s?)).collect();
-    let coverage = held.iter().filter(|h| **h).count() as f64 / held.len() as f64;
+    let coverage = held.iter().filter(|h| **h).count() as f64 / held.len().max(1) as f64;
     let sigma = |f: fn(&Sigmas) -> Option<f64>| {
         let all: Vec<f64> = rows.iter().filter_map(|r| f(&r.sigmas)).collect();
-        all.iter().sum::<f64>() / all.len() as f64
+        all.iter().sum::<f64>() / all.len().max(1) as f64
     };
     [
         ("scale_bias", scale_bias),
