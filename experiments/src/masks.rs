@@ -29,7 +29,7 @@ pub fn run_masks(
     let recording = Recording::open(&folder, &options.read)?;
     let request = FramesRequest {
         load: options.load.clone(),
-        poses: PosesConfig { mode: PosesMode::Off, ..PosesConfig::default() },
+        poses: PosesConfig { mode: PosesMode::Given, ..PosesConfig::default() },
         accept_faults: true,
     };
     let sequence = stages::frames(&recording, &request, context)?.sequence;

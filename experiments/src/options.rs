@@ -7,7 +7,7 @@ use sms_entities::EntitiesConfig;
 use sms_frames::{LoadSettings, ReadOptions};
 use sms_gaussians::{Preset, ScanConfig};
 use sms_masks::GeometryConfig;
-use sms_poses::PosesConfig;
+use sms_poses::{PosesConfig, PosesMode};
 use sms_synth::CameraPath;
 use std::path::PathBuf;
 
@@ -55,7 +55,7 @@ impl BenchOptions {
             load: LoadSettings { long_side: preset.long_side(), ..LoadSettings::default() },
             masks: GeometryConfig::default(),
             true_masks: false,
-            poses: PosesConfig::default(),
+            poses: PosesConfig { mode: PosesMode::Given, ..PosesConfig::default() },
             scan: ScanConfig { holdout: HOLDOUT, ..ScanConfig::preset(preset) },
             entities: EntitiesConfig::default(),
             frames: crate::scenes::FRAMES,

@@ -73,7 +73,7 @@ pub fn prepare(
     let recording = Recording::open(&dir, &options.read)?;
     let as_recorded = FramesRequest {
         load: options.load.clone(),
-        poses: PosesConfig { mode: PosesMode::Off, ..options.poses.clone() },
+        poses: PosesConfig { mode: PosesMode::Given, ..options.poses.clone() },
         accept_faults: true,
     };
     let mut sequence = stages::frames(&recording, &as_recorded, context)?.sequence;

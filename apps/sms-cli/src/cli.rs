@@ -5,7 +5,7 @@ mod masks;
 pub(crate) use masks::{MasksArguments, MasksName, ModelsArguments, NetsArguments};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use sms_cli::front::{Common, EngineName, PathName, PresetName, RefinePoses};
+use sms_cli::front::{Common, EngineName, PathName, PosesName, PresetName};
 use sms_pipeline::stages::LandingChooser;
 use sms_pipeline::{Device, Format, VlmMode};
 use std::path::PathBuf;
@@ -117,11 +117,9 @@ pub(crate) struct RunArguments {
 /// Options of the camera poses and of the check.
 #[derive(Debug, Args, Clone, Default)]
 pub(crate) struct PosesArguments {
-    /// Correct the camera poses before the scan.
-    ///
-    /// `auto` uses the correction only if held-out frames agree better.
-    #[arg(long, value_enum, value_name = "MODE", num_args = 0..=1, default_missing_value = "on")]
-    pub refine_poses: Option<RefinePoses>,
+    /// Camera poses of the scan; `auto` unless `[poses] mode` is set.
+    #[arg(long, value_enum, value_name = "MODE")]
+    pub poses: Option<PosesName>,
     /// Up direction in the recording's own world.
     ///
     /// Needed if it cannot be detected from surfaces; any length.

@@ -91,7 +91,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let began = Instant::now();
         let refined = refine_poses(
             &sequence,
-            &PosesConfig { mode: PosesMode::On, ..config.clone() },
+            &PosesConfig { mode: PosesMode::Refine, ..config.clone() },
             StageContext::quiet(&Cancel::new(), &Warnings::new()),
         )?;
         let seconds = began.elapsed().as_secs_f64();

@@ -8,14 +8,14 @@ use sms_frames::DepthNoise;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PosesMode {
-    /// The given poses are used as they are.
-    #[default]
-    Off,
-    /// Refined poses are used whenever they could be computed.
-    On,
     /// Refined poses are used only if held-out pairs of frames agree significantly better with them than with the given
     /// ones.
+    #[default]
     Auto,
+    /// The given poses are used as they are.
+    Given,
+    /// Refined poses are used whenever they could be computed.
+    Refine,
 }
 
 /// Settings of the refinement. Lengths in metres, angles in radians, colours in 8-bit levels, pixels at loaded size
@@ -23,15 +23,14 @@ pub enum PosesMode {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PosesConfig {
-    /// Whether poses are refined.
+    /// Whether poses are refined, and when the result is used.
     pub mode: PosesMode,
     /// Depth noise of the sensor. It determines the weight of depth relative to colour, and of both relative to the
     /// given poses.
     pub noise: DepthNoise,
-    /// Standard deviation of the given camera positions per axis. It pulls the result to the given poses where the
-    /// images do not determine it.
+    /// Standard deviation of the given camera positions per axis, with which the estimate of their noise begins.
     pub prior_position_m: f64,
-    /// Standard deviation of the given camera rotations per axis.
+    /// That of the given camera rotations per axis.
     pub prior_rotation_rad: f64,
     /// Standard deviation of the hand-eye correction that all frames share, per axis, metres. With 0, there is none.
     pub prior_hand_eye_m: f64,

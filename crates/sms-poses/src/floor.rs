@@ -2,7 +2,7 @@
 //! (calibration, interpolation, shading): 10⁵ points are not 10⁵ measurements. Each pair therefore has an unknown small
 //! motion f of its own, and its information is (H⁻¹ + Σ_f)⁻¹. The size of f follows from the pairs' disagreement.
 
-use crate::linear::{Block, Six};
+use crate::linear::{Block, Six, product};
 use crate::pair::ShiftSums;
 use sms_core::{Cholesky, symmetric_eigen};
 
@@ -24,6 +24,17 @@ pub(crate) struct PairForm {
 }
 
 impl PairForm {
+    /// Returns the value for a motion and a colour shift.
+    pub(crate) fn value(&self, x: &Six, shift: [f64; 2]) -> f64 {
+        let hx = product(&self.h, x);
+        let mut sum = (0..6).map(|k| x[k] * (0.5 * hx[k] + self.g[k])).sum::<f64>();
+        for k in 0..2 {
+            sum += shift[k] * (self.shift.g[k] + (0..6).map(|a| self.shift.by[k][a] * x[a]).sum::<f64>());
+            sum += 0.5 * shift[k] * (0..2).map(|l| self.shift.h[k][l] * shift[l]).sum::<f64>();
+        }
+        sum
+    }
+
     /// Adds the form of the other direction, whose difference has the other sign.
     pub(crate) fn with_reverse(mut self, other: &Self) -> Self {
         for a in 0..6 {
@@ -125,7 +136,6 @@ impl PairFloor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::linear::product;
     use rand::RngExt;
     use sms_core::{Seed, StageRng};
 
@@ -161,17 +171,7 @@ mod tests {
         let mut f = right.map(|v| -v);
         Cholesky::<6>::new(&a, 6).unwrap().solve(&mut f);
         let x: Six = std::array::from_fn(|k| delta[k] + f[k]);
-        value(form, &x, c) + 0.5 * (0..6).map(|k| (f[k] / d[k]).powi(2)).sum::<f64>()
-    }
-
-    fn value(form: &PairForm, x: &Six, c: [f64; 2]) -> f64 {
-        let hx = product(&form.h, x);
-        let mut sum = (0..6).map(|k| x[k] * (0.5 * hx[k] + form.g[k])).sum::<f64>();
-        for k in 0..2 {
-            sum += c[k] * (form.shift.g[k] + (0..6).map(|a| form.shift.by[k][a] * x[a]).sum::<f64>());
-            sum += 0.5 * c[k] * (0..2).map(|l| form.shift.h[k][l] * c[l]).sum::<f64>();
-        }
-        sum
+        form.value(&x, c) + 0.5 * (0..6).map(|k| (f[k] / d[k]).powi(2)).sum::<f64>()
     }
 
     #[test]
@@ -186,7 +186,7 @@ mod tests {
                 let delta: Six = std::array::from_fn(|_| 0.1 * (rng.random::<f64>() - 0.5));
                 let c = [0.3 * (rng.random::<f64>() - 0.5), 0.3 * (rng.random::<f64>() - 0.5)];
                 let expected = minimised(&form, &floor, &delta, c) - zero;
-                let found = value(&floored, &delta, c);
+                let found = floored.value(&delta, c);
                 assert!((found - expected).abs() < 1e-8 * (1.0 + expected.abs()), "{found} {expected}");
             }
         }

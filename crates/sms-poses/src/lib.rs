@@ -20,8 +20,8 @@
 //! - the covariance of the result gives the uncertainty of the scene's size ([`SizeUncertainty`]): faces that can move
 //!   against each other at no cost do not show in the residuals.
 //!
-//! [`PosesMode::Auto`] uses the result only if held-out pairs of frames and points agree significantly better than
-//! before; otherwise the given poses are kept.
+//! [`PosesMode::Auto`] refines only if the residuals at the given poses promise a gain, and uses the result only if held-out
+//! pairs of frames and points agree significantly better than before; otherwise the given poses are kept.
 //!
 //! The direct alignment follows Kerl, Sturm and Cremers, "Dense visual SLAM for RGB-D cameras" (IROS 2013), and Whelan
 //! et al., "Robust real-time visual odometry for dense RGB-D mapping" (ICRA 2013); adjusting all poses at once with
@@ -94,8 +94,8 @@ pub fn refine_poses(
         let report = PoseReport { verdict, ..PoseReport::default() };
         Ok(PoseRefinement { sequence: sequence.clone(), report })
     };
-    if config.mode == PosesMode::Off {
-        return keep(PoseVerdict::Off);
+    if config.mode == PosesMode::Given {
+        return keep(PoseVerdict::NotRequested);
     }
     config.validate()?;
     let given: Vec<DPose3> = sequence.frames.iter().map(|f| f.camera.x_wc).collect();
@@ -106,12 +106,20 @@ pub fn refine_poses(
             "poses",
             "poses_not_refined",
             "the poses could not be refined: no two frames overlap enough",
-            "record with more overlap, or leave the poses as they are (--refine-poses off)",
+            "record with more overlap, or leave the poses as they are (--poses given)",
         );
         return keep(PoseVerdict::NotPossible);
     }
+    let prospect = (config.mode == PosesMode::Auto).then(|| problem.prospect());
+    if prospect.is_some_and(|p| p < LEAST_PROSPECT) {
+        let pairs = problem.graph.pairs.len();
+        let report =
+            PoseReport { verdict: PoseVerdict::GivenAreAsGood, prospect, pairs, ..PoseReport::default() };
+        return Ok(PoseRefinement { sequence: sequence.clone(), report });
+    }
     let Refined { poses, color_shift_px, hand_eye, deviations, noise, floor, uncertainty, iterations } =
         problem.run(progress, cancel)?;
+    let given_sigma = GivenSigma::of(&noise, given.len());
     let judgement = judge::judge(&problem, &poses, color_shift_px);
     let corrections: Vec<PoseCorrection> = given
         .iter()
@@ -126,12 +134,13 @@ pub fn refine_poses(
     let finite = corrections.iter().all(|c| c.shift_m.is_finite() && c.turn_rad.is_finite());
     let mut report = PoseReport {
         verdict: PoseVerdict::Refined,
+        prospect,
         pairs: problem.graph.pairs.len(),
         iterations,
         color_shift_px,
-        hand_eye: HandEye::of(&hand_eye),
-        given_sigma: GivenSigma::of(&noise, given.len()),
-        pair_floor_m: floor.shift_m,
+        hand_eye: Some(HandEye::of(&hand_eye)),
+        given_sigma: Some(given_sigma),
+        pair_floor_m: Some(floor.shift_m),
         size: uncertainty,
         corrections,
         judgement,
@@ -143,7 +152,8 @@ pub fn refine_poses(
         report.verdict = PoseVerdict::GivenAreAsGood;
     }
     progress.end(&report.summary());
-    warn(&report, config, &problem, &deviations, warnings);
+    let far = frames_far_off(&deviations, &given_sigma);
+    warn(&report, config, &problem, &far, warnings);
     let mut sequence = sequence.clone();
     if report.verdict == PoseVerdict::Refined {
         for (frame, pose) in sequence.frames.iter_mut().zip(poses) {
@@ -153,11 +163,23 @@ pub fn refine_poses(
     Ok(PoseRefinement { sequence, report })
 }
 
+/// Least share of the squared residuals that a refinement must promise to be tried: a sixth of the reduction that
+/// [`Judgement::improved`] asks of depth or colour, as one of them may have a sixth of the residuals.
+const LEAST_PROSPECT: f64 = 0.01;
+
+/// Returns the frames whose deviation is more than five times what is usual.
+fn frames_far_off(deviations: &[[f64; 2]], usual: &GivenSigma) -> Vec<usize> {
+    // The lengths of vectors of three components.
+    let most = [usual.position_m, usual.rotation_rad].map(|s| 5.0 * 3f64.sqrt() * s);
+    let is_far = |i: &usize| (0..2).any(|kind| deviations[*i][kind] > most[kind]);
+    (0..deviations.len()).filter(is_far).collect()
+}
+
 fn warn(
     report: &PoseReport,
     config: &PosesConfig,
     problem: &BundleAdjustment<'_>,
-    deviations: &[[f64; 2]],
+    far: &[usize],
     warnings: &Warnings,
 ) {
     if report.verdict == PoseVerdict::NotPossible {
@@ -172,7 +194,7 @@ fn warn(
         return;
     }
     let judged = &report.judgement;
-    if config.mode == PosesMode::On && !judged.improved() {
+    if config.mode == PosesMode::Refine && !judged.improved() {
         warnings.add(
             "poses",
             "poses_no_better",
@@ -181,11 +203,13 @@ fn warn(
                 -100.0 * judged.depth.share,
                 -100.0 * judged.color.share
             ),
-            "use --refine-poses auto",
+            "use --poses auto",
         );
     }
+    /// Shifts below half a pixel change no pixel of a mask.
+    const LEAST_SHIFT_PX: f64 = 0.5;
     let [du, dv] = report.color_shift_px;
-    if du.hypot(dv) > 0.0 {
+    if du.hypot(dv) >= LEAST_SHIFT_PX {
         warnings.add(
             "poses",
             "color_shifted",
@@ -204,11 +228,7 @@ fn warn(
             "",
         );
     }
-    // The lengths of vectors of three components.
-    let most =
-        [report.given_sigma.position_m, report.given_sigma.rotation_rad].map(|s| 5.0 * 3f64.sqrt() * s);
-    let is_far = |i: &usize| (0..2).any(|kind| deviations[*i][kind] > most[kind]);
-    let far = list((0..deviations.len()).filter(is_far).collect());
+    let far = list(far.to_vec());
     if !far.is_empty() {
         warnings.add(
             "poses",

@@ -39,6 +39,8 @@ pub(crate) struct Sums {
     depth_h: Block,
     depth_g: Six,
     color: ColorSums,
+    /// ½ Σ w r² of both kinds.
+    cost: f64,
 }
 
 /// Sums over colour residuals. Of symmetric matrices, the upper triangle is kept.
@@ -53,6 +55,7 @@ struct ColorSums {
 
 impl Sums {
     pub(crate) fn add_depth(&mut self, jacobian: &Six, residual: f64, weight: f64) {
+        self.cost += 0.5 * weight * residual * residual;
         for a in 0..6 {
             let wj = weight * jacobian[a];
             self.depth_g[a] += wj * residual;
@@ -62,6 +65,7 @@ impl Sums {
 
     /// Adds a residual with its derivatives by the images of both frames.
     pub(crate) fn add_color(&mut self, by_i: &ColorRow, by_j: &ColorRow, residual: f64, weight: f64) {
+        self.cost += 0.5 * weight * residual * residual;
         self.color.add(by_i, by_j, residual, weight);
     }
 
@@ -89,6 +93,7 @@ impl Sums {
             by_extra: std::array::from_fn(|k| rotated(&all[6 + k])),
             extra_h: std::array::from_fn(|k| std::array::from_fn(|l| all[6 + k][6 + l])),
             extra_g: std::array::from_fn(|k| gradient[6 + k]),
+            cost: self.cost,
             seen,
         }
     }
@@ -174,6 +179,8 @@ pub(crate) struct PairSums {
     by_extra: [Six; EXTRA],
     extra_h: [[f64; EXTRA]; EXTRA],
     extra_g: [f64; EXTRA],
+    /// ½ Σ w r².
+    pub(crate) cost: f64,
     pub(crate) seen: ResidualStats,
 }
 

@@ -82,6 +82,11 @@ fn weight_of(sigma: f64) -> f64 {
     if sigma > 0.0 { sigma.powi(-2).min(HELD) } else { HELD }
 }
 
+/// Returns δᵢ − δⱼ.
+fn difference(steps: &[Six], i: usize, j: usize) -> Six {
+    std::array::from_fn(|a| steps[i][a] - steps[j][a])
+}
+
 pub(crate) fn arcs(pairs: &[(usize, usize)]) -> Vec<Arc> {
     pairs
         .iter()
@@ -220,6 +225,22 @@ impl<'a> BundleAdjustment<'a> {
         system
     }
 
+    /// Returns the state at the given poses.
+    fn start(&self) -> RefinementState {
+        RefinementState {
+            directions: self.views.iter().map(|v| v.directions.clone()).collect(),
+            poses: self.given.to_vec(),
+            hand_eye: DPose3::identity(),
+            color_shift: [0.0; 2],
+            apparent_shift_px: [0.0; 2],
+            phase: Phase::Approach,
+            arcs: arcs(&self.graph.pairs),
+            weighing: Weighing { depth_scale: 10.0, color_scale: 4.0, gate_m: self.widest_gate_m() },
+            floor: PairFloor::default(),
+            noise: GivenNoise::configured(self.config),
+        }
+    }
+
     /// Runs Gauss-Newton with robust weights at one level. Returns the number of iterations.
     fn refine_level(
         &self,
@@ -249,7 +270,7 @@ impl<'a> BundleAdjustment<'a> {
                 *pose = DPose3::from_parts(moved.translation, moved.rotation.normalize());
             }
             for (arc, pair) in arcs.iter_mut().zip(&sums) {
-                let delta: Six = std::array::from_fn(|a| steps[arc.from][a] - steps[arc.to][a]);
+                let delta = difference(&steps, arc.from, arc.to);
                 arc.brightness = pair.brightness_after(&delta, shift_step, arc.brightness);
             }
             estimate.weighing = self.weighing_after(&sums, &estimate.weighing);
@@ -260,6 +281,30 @@ impl<'a> BundleAdjustment<'a> {
             }
         }
         Ok(config.iterations[level])
+    }
+
+    /// Returns the share by which a refinement could reduce the squares of all residuals, to first order at the given poses.
+    pub(crate) fn prospect(&self) -> f64 {
+        // Passes in which gains, offsets and robust scales settle.
+        const PASSES: usize = 3;
+        let mut estimate = self.start();
+        self.fuse_normals(&mut estimate);
+        let mut sums = Vec::new();
+        for _ in 0..PASSES {
+            sums = self.pass(0, &estimate);
+            for (arc, pair) in estimate.arcs.iter_mut().zip(&sums) {
+                arc.brightness = pair.brightness_after(&[0.0; 6], [0.0; 2], arc.brightness);
+            }
+            estimate.weighing = self.weighing_after(&sums, &estimate.weighing);
+        }
+        let forms = self.forms(&sums);
+        let system = self.system(&forms, &estimate, [self.config.prior_color_shift_px > 0.0; 2]);
+        let Some((steps, common)) = system.solve() else { return 0.0 };
+        let decrease = |(&(i, j), form): (&(usize, usize), &PairForm)| {
+            -form.value(&difference(&steps, i, j), [common[0], common[1]])
+        };
+        let cost = self.config.independent_share * sums.iter().map(|s| s.cost).sum::<f64>();
+        self.graph.pairs.iter().zip(&forms).map(decrease).sum::<f64>() / cost.max(1e-300)
     }
 
     /// Estimates the noise floor of the pairs and the noise of the given poses from the forms at the estimate.
@@ -306,18 +351,7 @@ impl<'a> BundleAdjustment<'a> {
         let levels = self.views.first().map_or(0, |v| v.luma.len());
         let planned: usize = self.config.iterations[..levels].iter().sum();
         progress.begin("poses", planned as u64);
-        let mut estimate = RefinementState {
-            directions: self.views.iter().map(|v| v.directions.clone()).collect(),
-            poses: self.given.to_vec(),
-            hand_eye: DPose3::identity(),
-            color_shift: [0.0; 2],
-            apparent_shift_px: [0.0; 2],
-            phase: Phase::Approach,
-            arcs: arcs(&self.graph.pairs),
-            weighing: Weighing { depth_scale: 10.0, color_scale: 4.0, gate_m: self.widest_gate_m() },
-            floor: PairFloor::default(),
-            noise: GivenNoise::configured(self.config),
-        };
+        let mut estimate = self.start();
         let (mut done, mut iterations) = (0, 0);
         let mut free = [self.config.prior_color_shift_px > 0.0; 2];
         for level in (0..levels).rev() {

@@ -60,10 +60,10 @@ impl GivenSigma {
 pub enum PoseVerdict {
     /// Refinement was not requested.
     #[default]
-    Off,
+    NotRequested,
     /// The refined poses are used.
     Refined,
-    /// The refined poses were not significantly better (`auto`), so the given poses are used.
+    /// Refined poses promised to be no better, or were not significantly better (`auto`), so the given poses are used.
     GivenAreAsGood,
     /// Nothing could be refined: too few frames, or no overlap.
     NotPossible,
@@ -74,22 +74,26 @@ pub enum PoseVerdict {
 pub struct PoseReport {
     /// The decision on the poses.
     pub verdict: PoseVerdict,
+    /// Share by which a refinement promises to reduce the squares of all residuals, to first order; `None` unless `auto`
+    /// asked. Less than 1 % is not tried.
+    #[serde(default)]
+    pub prospect: Option<f64>,
     /// Pairs of frames that were compared.
     pub pairs: usize,
     /// Iterations of all levels.
     pub iterations: usize,
     /// Estimated shift of the colour against the depth, pixels at loaded size (right, down).
     pub color_shift_px: [f64; 2],
-    /// The correction that all frames share.
+    /// The correction that all frames share; like all that follows, `None` without a refinement.
     #[serde(default)]
-    pub hand_eye: HandEye,
+    pub hand_eye: Option<HandEye>,
     /// Noise of the given poses.
     #[serde(default)]
-    pub given_sigma: GivenSigma,
+    pub given_sigma: Option<GivenSigma>,
     /// Standard deviation of the registration of two frames beyond the noise of their points, metres.
     #[serde(default)]
-    pub pair_floor_m: f64,
-    /// Uncertainty of the scene's size; `None` if it cannot be computed.
+    pub pair_floor_m: Option<f64>,
+    /// Uncertainty of the scene's size; also `None` if it cannot be computed.
     #[serde(default)]
     pub size: Option<SizeUncertainty>,
     /// Correction of each frame.
@@ -120,11 +124,14 @@ impl PoseReport {
     /// Returns the figures for `metrics.json`.
     pub fn metrics(&self) -> Metrics {
         let mut m = Metrics::new();
-        if self.verdict == PoseVerdict::Off {
+        if self.verdict == PoseVerdict::NotRequested {
             return m;
         }
         let j = &self.judgement;
         m.set("poses.refined", self.verdict == PoseVerdict::Refined);
+        if let Some(prospect) = self.prospect {
+            m.set("poses.prospect", prospect);
+        }
         m.set("poses.pairs", self.pairs).set("poses.held_out_pairs", j.pairs);
         m.set("poses.iterations", self.iterations);
         if let Some((shift, turn)) = self.median_correction() {
@@ -150,7 +157,10 @@ impl PoseReport {
     pub fn summary(&self) -> String {
         let Some((shift, turn)) = self.median_correction() else {
             return match self.verdict {
-                PoseVerdict::Off => "poses as given".to_owned(),
+                PoseVerdict::NotRequested => "poses as given".to_owned(),
+                PoseVerdict::GivenAreAsGood => {
+                    "poses as given: the frames agree within their noise".to_owned()
+                }
                 _ => "poses as given: the frames overlap too little to refine them".to_owned(),
             };
         };

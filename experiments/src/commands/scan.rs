@@ -5,7 +5,7 @@ use super::shared::{finish, parse_shard, read_baseline, settings, with_settings}
 use anyhow::Context as _;
 use clap::Args;
 use serde_json::json;
-use sms_cli::front::{Console, PresetName, RefinePoses};
+use sms_cli::front::{Console, PosesName, PresetName};
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, StageContext, Warnings};
 use sms_experiments::{
@@ -14,6 +14,7 @@ use sms_experiments::{
 };
 use sms_pipeline::Device;
 use sms_pipeline::settings::poses_defaults;
+use sms_poses::PosesMode;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
@@ -46,9 +47,9 @@ pub(crate) struct ScanStudyArguments {
     /// Shift of colour against depth, pixels of the loaded frames.
     #[arg(long, value_name = "PX", default_value_t = 0, allow_hyphen_values = true)]
     pub color_shift_px: i64,
-    /// Refine poses before masks and scan.
-    #[arg(long, value_enum, value_name = "WHEN", num_args = 0..=1, default_missing_value = "on")]
-    pub refine_poses: Option<RefinePoses>,
+    /// Camera poses of masks and scan; `given` without this option, as generated poses are exact.
+    #[arg(long, value_enum, value_name = "MODE")]
+    pub poses: Option<PosesName>,
     /// Device of the scan; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
@@ -239,9 +240,7 @@ fn options(console: &Console, a: &ScanStudyArguments) -> anyhow::Result<BenchOpt
     }
     let base = with_settings(console, base)?;
     let mut poses = console.context.settings.section("poses", poses_defaults(&base.load))?;
-    if let Some(mode) = a.refine_poses {
-        poses.mode = mode.mode();
-    }
+    poses.mode = a.poses.map_or(PosesMode::Given, PosesName::mode);
     Ok(BenchOptions {
         poses,
         frames: a.frames,

@@ -31,7 +31,7 @@ pub fn refine_orbit(
 ) -> Result<OrbitRow, BenchError> {
     let given = fault.applied(&orbit.sequence, seed);
     let began = Instant::now();
-    let refined = refine_poses(&given, &PosesConfig { mode: PosesMode::On, ..config.clone() }, context)?;
+    let refined = refine_poses(&given, &PosesConfig { mode: PosesMode::Refine, ..config.clone() }, context)?;
     let seconds = began.elapsed().as_secs_f64();
     let refined_poses = poses_of(&refined.sequence);
     Ok(OrbitRow {

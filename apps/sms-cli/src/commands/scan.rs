@@ -2,7 +2,7 @@
 
 use crate::cli::ScanArguments;
 use crate::live::Watch;
-use sms_cli::front::{Console, PresetName, RefinePoses, note};
+use sms_cli::front::{Console, PosesName, PresetName, note};
 use sms_core::{InputError, Seed, counted, judge_depth_error, judge_psnr, length_text};
 use sms_pipeline::{Run, ScanOutcome, ScanRequest};
 
@@ -10,7 +10,7 @@ pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
     let request = ScanRequest {
         preset: a.preset.unwrap_or(PresetName::Standard).preset(),
         masks: a.masks.source(&a.nets),
-        refine_poses: a.poses.refine_poses.map(RefinePoses::mode),
+        poses: a.poses.poses.map(PosesName::mode),
         holdout: a.holdout,
         device: a.device,
         seed: a.seed.map(Seed),

@@ -30,21 +30,21 @@ impl PresetName {
 
 /// Refinement of the camera poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum RefinePoses {
-    /// Use the recorded poses.
-    Off,
-    /// Use refined poses.
-    On,
-    /// Use refined poses if held-out frames agree significantly better with them.
+pub enum PosesName {
+    /// Refine the recorded poses, and use the result if held-out frames agree significantly better with it.
     Auto,
+    /// Use the recorded poses.
+    Given,
+    /// Use refined poses.
+    Refine,
 }
 
-impl RefinePoses {
+impl PosesName {
     /// Returns the library's mode.
     pub fn mode(self) -> PosesMode {
         match self {
-            Self::Off => PosesMode::Off,
-            Self::On => PosesMode::On,
+            Self::Given => PosesMode::Given,
+            Self::Refine => PosesMode::Refine,
             Self::Auto => PosesMode::Auto,
         }
     }

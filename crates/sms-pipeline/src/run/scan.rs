@@ -31,7 +31,7 @@ pub struct ScanRequest {
     /// Source of the object masks.
     pub masks: MasksSource,
     /// Mode of the pose refinement; by default from the settings.
-    pub refine_poses: Option<PosesMode>,
+    pub poses: Option<PosesMode>,
     /// Holds every N-th frame out of training (0: none); by default from the settings.
     pub holdout: Option<usize>,
     /// Device of the scan.
@@ -136,7 +136,7 @@ impl Run<'_> {
             load.align = Align::Up(up_direction(up)?);
         }
         let mut poses = given.section("poses", poses_defaults(&load))?;
-        poses.mode = request.refine_poses.unwrap_or(poses.mode);
+        poses.mode = request.poses.unwrap_or(poses.mode);
         let mut scan = given.section("scan", ScanConfig::preset(request.preset))?;
         scan.holdout = request.holdout.unwrap_or(scan.holdout);
         load.validate()?;
@@ -155,7 +155,7 @@ impl Run<'_> {
     ) -> Result<(Hash, Sequence), Error> {
         let FramesRequest { load, poses, .. } = &settings.frames;
         // Without refinement, its settings do not matter.
-        let refinement: Option<&PosesConfig> = (poses.mode != PosesMode::Off).then_some(poses);
+        let refinement: Option<&PosesConfig> = (poses.mode != PosesMode::Given).then_some(poses);
         let hash = inputs_hash(&[&fingerprint(recording)?], &(&settings.read, load, refinement))?;
         let dir = run_stage(self.context, run, "frames", &hash, |stage, warnings| {
             let made = frames(recording, &settings.frames, self.context.stage(warnings, request.seed()))?;

@@ -51,7 +51,7 @@ pub fn frames(
 /// As [`refine_poses`].
 pub fn refined(sequence: Sequence, config: &PosesConfig, context: StageContext<'_>) -> Result<Frames, Error> {
     let mut metrics = Metrics::new();
-    if config.mode == PosesMode::Off {
+    if config.mode == PosesMode::Given {
         return Ok(Frames { sequence, poses: None, metrics });
     }
     let began = Instant::now();

@@ -82,7 +82,7 @@ fn without_cache(recording: &Path, truth: &TruthScene, work_dir: &Path) -> (Scen
     let (cancel, warnings) = (Cancel::new(), Warnings::new());
     let context = StageContext::quiet(&cancel, &warnings);
     let load = LoadSettings { long_side: Preset::Draft.long_side(), ..LoadSettings::default() };
-    let poses = sms_poses::PosesConfig { mode: PosesMode::Off, ..settings::poses_defaults(&load) };
+    let poses = sms_poses::PosesConfig { mode: PosesMode::Given, ..settings::poses_defaults(&load) };
     let read = ReadOptions::default();
     let opened = Recording::open(recording, &read).unwrap();
     let frames_request = FramesRequest { load, poses, accept_faults: false };

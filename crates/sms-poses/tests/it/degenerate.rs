@@ -8,7 +8,7 @@ use sms_frames::Sequence;
 use sms_poses::{PoseRefinement, PoseVerdict, PosesConfig, PosesMode, refine_poses};
 
 fn refine(sequence: &Sequence) -> (PoseRefinement, Vec<String>) {
-    let config = PosesConfig { mode: PosesMode::On, ..PosesConfig::default() };
+    let config = PosesConfig { mode: PosesMode::Refine, ..PosesConfig::default() };
     let warnings = Warnings::new();
     let result = refine_poses(sequence, &config, StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
     (result, warnings.snapshot().into_iter().map(|w| w.code).collect())
@@ -108,7 +108,7 @@ fn absurd_input_stays_finite() {
 #[test]
 fn interruption_and_settings_out_of_range_are_errors() {
     let given = billiards(1, 4);
-    let on = PosesConfig { mode: PosesMode::On, ..PosesConfig::default() };
+    let on = PosesConfig { mode: PosesMode::Refine, ..PosesConfig::default() };
     let cancel = Cancel::new();
     cancel.cancel();
     let interrupted = refine_poses(&given, &on, StageContext::quiet(&cancel, &Warnings::new()));

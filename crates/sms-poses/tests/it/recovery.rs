@@ -35,7 +35,7 @@ fn disturbed_poses_are_recovered_and_surfaces_agree_as_with_the_true_ones() {
         assert!(after.point_rms_m < 0.0015, "{after:?}");
         assert!(after.position_rms_m < 0.0025 && after.rotation_rms_rad < 0.2f64.to_radians(), "{after:?}");
         // With the true poses as input, `before` is the effect of noise alone on held-out pairs.
-        let floor = refine(&truth, PosesMode::On).report.judgement.before.depth_median_m.unwrap();
+        let floor = refine(&truth, PosesMode::Refine).report.judgement.before.depth_median_m.unwrap();
         let reached = result.report.judgement.after.depth_median_m.unwrap();
         assert!(reached < 1.15 * floor, "{reached} against {floor}");
     }
@@ -45,20 +45,21 @@ fn disturbed_poses_are_recovered_and_surfaces_agree_as_with_the_true_ones() {
 fn exact_poses_with_noise_are_hardly_moved_and_auto_keeps_them() {
     for seed in [1, 3] {
         let truth = billiards(seed, 20);
-        let on = refine(&truth, PosesMode::On);
+        let on = refine(&truth, PosesMode::Refine);
         let errors = compare_poses(&poses(&on.sequence), &poses(&truth), AT_M);
         eprintln!("seed {seed}: {:.3} mm at {AT_M} m", 1e3 * errors.point_rms_m);
         assert!(errors.point_rms_m < 0.0015, "{errors:?}");
         let auto = refine(&truth, PosesMode::Auto);
         assert_eq!(auto.report.verdict, PoseVerdict::GivenAreAsGood, "{}", auto.report.summary());
         assert_eq!(poses(&auto.sequence), poses(&truth));
+        assert!(auto.report.prospect.unwrap() < 0.01, "{:?}", auto.report.prospect);
     }
 }
 
 #[test]
 fn the_scene_stays_where_it_was_given() {
     let given = disturbed(&billiards(1, 20), 0.010, 0.5);
-    let result = refine(&given, PosesMode::On);
+    let result = refine(&given, PosesMode::Refine);
     // No common rigid motion moves the measured points closer to their positions under the given poses.
     let points = |s: &Sequence| -> Vec<DVec3> {
         let all = s.frames.iter().flat_map(|f| {
