@@ -49,6 +49,7 @@ mod histogram;
 mod judge;
 mod linear;
 mod luma;
+mod noise;
 mod pair;
 mod planes;
 mod refine;
@@ -111,14 +112,27 @@ pub fn refine_poses(
         return keep(PoseVerdict::NotPossible);
     }
     let prospect = (config.mode == PosesMode::Auto).then(|| problem.prospect());
-    if prospect.is_some_and(|p| p < LEAST_PROSPECT) {
-        let pairs = problem.graph.pairs.len();
-        let report =
-            PoseReport { verdict: PoseVerdict::GivenAreAsGood, prospect, pairs, ..PoseReport::default() };
+    if prospect.as_ref().is_some_and(|p| p.gain < LEAST_PROSPECT) {
+        let report = PoseReport {
+            verdict: PoseVerdict::GivenAreAsGood,
+            prospect: prospect.as_ref().map(|p| p.gain),
+            pairs: problem.graph.pairs.len(),
+            depth_noise: prospect.and_then(|p| p.depth_noise),
+            ..PoseReport::default()
+        };
         return Ok(PoseRefinement { sequence: sequence.clone(), report });
     }
-    let Refined { poses, color_shift_px, hand_eye, deviations, noise, floor, uncertainty, iterations } =
-        problem.run(progress, cancel)?;
+    let Refined {
+        poses,
+        color_shift_px,
+        hand_eye,
+        deviations,
+        noise,
+        floor,
+        depth_noise,
+        uncertainty,
+        iterations,
+    } = problem.run(progress, cancel)?;
     let given_sigma = GivenSigma::of(&noise, given.len());
     let judgement = judge::judge(&problem, &poses, color_shift_px);
     let corrections: Vec<PoseCorrection> = given
@@ -134,13 +148,14 @@ pub fn refine_poses(
     let finite = corrections.iter().all(|c| c.shift_m.is_finite() && c.turn_rad.is_finite());
     let mut report = PoseReport {
         verdict: PoseVerdict::Refined,
-        prospect,
+        prospect: prospect.map(|p| p.gain),
         pairs: problem.graph.pairs.len(),
         iterations,
         color_shift_px,
         hand_eye: Some(HandEye::of(&hand_eye)),
         given_sigma: Some(given_sigma),
         pair_floor_m: Some(floor.shift_m),
+        depth_noise,
         size: uncertainty,
         corrections,
         judgement,

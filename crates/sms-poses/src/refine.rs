@@ -16,6 +16,7 @@ use crate::views::{DirectedFrame, Direction, Point, PreparedFrame};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use sms_core::{Cancel, CoreError, Progress};
+use sms_frames::DepthNoise;
 use std::collections::BTreeSet;
 
 /// The inputs of the refinement, which stay constant during it.
@@ -50,6 +51,13 @@ struct RefinementState {
     noise: GivenNoise,
 }
 
+/// An examination of the given poses.
+pub(crate) struct Prospect {
+    /// Share by which a refinement could reduce the squares of all residuals, to first order.
+    pub(crate) gain: f64,
+    pub(crate) depth_noise: Option<DepthNoise>,
+}
+
 /// The result of a refinement.
 pub(crate) struct Refined {
     pub(crate) poses: Vec<DPose3>,
@@ -60,6 +68,7 @@ pub(crate) struct Refined {
     pub(crate) deviations: Vec<[f64; 2]>,
     pub(crate) noise: GivenNoise,
     pub(crate) floor: PairFloor,
+    pub(crate) depth_noise: Option<DepthNoise>,
     /// `None` if it cannot be computed.
     pub(crate) uncertainty: Option<SizeUncertainty>,
     pub(crate) iterations: usize,
@@ -166,6 +175,16 @@ impl<'a> BundleAdjustment<'a> {
             directions,
         };
         self.views.iter().zip(&estimate.directions).map(with).collect()
+    }
+
+    /// Returns the depth noise that the differences between frames show at the estimate.
+    fn depth_noise(&self, estimate: &RefinementState) -> Option<DepthNoise> {
+        let views = self.directed(estimate);
+        let points: Vec<Vec<Point>> = views
+            .par_iter()
+            .map(|v| v.points(0, self.config.point_stride, [0.5, 0.5], [0.0; 2], self.config))
+            .collect();
+        crate::noise::depth_noise(&views, &points, &estimate.poses, &self.graph.pairs)
     }
 
     /// Linearises all pairs at the estimate; returns the sums of both directions of each.
@@ -283,8 +302,8 @@ impl<'a> BundleAdjustment<'a> {
         Ok(config.iterations[level])
     }
 
-    /// Returns the share by which a refinement could reduce the squares of all residuals, to first order at the given poses.
-    pub(crate) fn prospect(&self) -> f64 {
+    /// Examines the given poses.
+    pub(crate) fn prospect(&self) -> Prospect {
         // Passes in which gains, offsets and robust scales settle.
         const PASSES: usize = 3;
         let mut estimate = self.start();
@@ -299,12 +318,14 @@ impl<'a> BundleAdjustment<'a> {
         }
         let forms = self.forms(&sums);
         let system = self.system(&forms, &estimate, [self.config.prior_color_shift_px > 0.0; 2]);
-        let Some((steps, common)) = system.solve() else { return 0.0 };
+        let depth_noise = self.depth_noise(&estimate);
+        let Some((steps, common)) = system.solve() else { return Prospect { gain: 0.0, depth_noise } };
         let decrease = |(&(i, j), form): (&(usize, usize), &PairForm)| {
             -form.value(&difference(&steps, i, j), [common[0], common[1]])
         };
         let cost = self.config.independent_share * sums.iter().map(|s| s.cost).sum::<f64>();
-        self.graph.pairs.iter().zip(&forms).map(decrease).sum::<f64>() / cost.max(1e-300)
+        let gain = self.graph.pairs.iter().zip(&forms).map(decrease).sum::<f64>() / cost.max(1e-300);
+        Prospect { gain, depth_noise }
     }
 
     /// Estimates the noise floor of the pairs and the noise of the given poses from the forms at the estimate.
@@ -384,6 +405,7 @@ impl<'a> BundleAdjustment<'a> {
             deviations: self.given_poses().lengths(&estimate.poses, &estimate.hand_eye),
             noise: estimate.noise,
             floor: estimate.floor,
+            depth_noise: self.depth_noise(&estimate),
             uncertainty,
             iterations,
         })

@@ -5,6 +5,7 @@ use crate::{Judgement, SizeUncertainty};
 use glamx::DPose3;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
+use sms_frames::DepthNoise;
 
 /// Correction of one frame, relative to the given pose.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -93,6 +94,9 @@ pub struct PoseReport {
     /// Standard deviation of the registration of two frames beyond the noise of their points, metres.
     #[serde(default)]
     pub pair_floor_m: Option<f64>,
+    /// Depth noise that the differences between frames show.
+    #[serde(default)]
+    pub depth_noise: Option<DepthNoise>,
     /// Uncertainty of the scene's size; also `None` if it cannot be computed.
     #[serde(default)]
     pub size: Option<SizeUncertainty>,
@@ -132,6 +136,9 @@ impl PoseReport {
         if let Some(prospect) = self.prospect {
             m.set("poses.prospect", prospect);
         }
+        if let Some(noise) = &self.depth_noise {
+            m.set("poses.depth_noise_a_m", noise.a_m).set("poses.depth_noise_b_per_m", noise.b_per_m);
+        }
         m.set("poses.pairs", self.pairs).set("poses.held_out_pairs", j.pairs);
         m.set("poses.iterations", self.iterations);
         if let Some((shift, turn)) = self.median_correction() {
@@ -155,11 +162,13 @@ impl PoseReport {
 
     /// Returns a summary in one line.
     pub fn summary(&self) -> String {
+        let noise = self.depth_noise.map(|n| format!("; depth noise {:.1} mm at 1 m", 1e3 * n.sigma_m(1.0)));
+        let noise = noise.unwrap_or_default();
         let Some((shift, turn)) = self.median_correction() else {
             return match self.verdict {
                 PoseVerdict::NotRequested => "poses as given".to_owned(),
                 PoseVerdict::GivenAreAsGood => {
-                    "poses as given: the frames agree within their noise".to_owned()
+                    format!("poses as given: the frames agree within their noise{noise}")
                 }
                 _ => "poses as given: the frames overlap too little to refine them".to_owned(),
             };
@@ -177,7 +186,7 @@ impl PoseReport {
         match self.verdict {
             PoseVerdict::Refined => {
                 let size = self.size.as_ref().map(|s| format!("; {}", s.summary())).unwrap_or_default();
-                format!("poses refined by {by}: {residuals}{size}")
+                format!("poses refined by {by}: {residuals}{size}{noise}")
             }
             _ => format!("poses kept as given: a refinement by {by} was no improvement ({residuals})"),
         }
