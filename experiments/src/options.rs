@@ -88,7 +88,9 @@ impl BenchOptions {
         let own = self.sensor.recording();
         let width = if self.width == 0 { own.width } else { self.width };
         let scaled = self.sensor.recording_at(width);
-        RecordingSettings { frames: self.frames, path: self.path.clone(), ..scaled }
+        // Fewer frames on the same path are fewer of the same walk: the camera is as fast.
+        let frame_rate_hz = scaled.frame_rate_hz * self.frames as f64 / scaled.frames as f64;
+        RecordingSettings { frames: self.frames, frame_rate_hz, path: self.path.clone(), ..scaled }
     }
 
     /// Returns the part of a cache key for a recording: the frames, and path, sensor and width unless they are the defaults.

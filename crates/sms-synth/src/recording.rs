@@ -34,14 +34,14 @@ pub struct RecordingSettings {
     /// Frames that are recorded in a second: with the path it decides how fast the camera moves, and by that how much its colour is
     /// blurred. By default, the frames that a slow hand leaves: 0.25 m/s on the paper's path of 15 m with 60 frames.
     pub frame_rate_hz: f64,
-    /// Errors of the sensor and of the recorded poses (paper: exact poses). [`Sensor`](crate::Sensor) has presets.
+    /// Errors of the sensor and of the recorded poses (paper: exact poses). `--sensor` chooses among presets.
     pub sensor: SensorModel,
     /// Metres per unit of the 16-bit depth images.
     pub depth_unit_m: f64,
     /// Whether label images of the truth are part of the recording: referenced by `transforms.json` and listed in
     /// `objects.json`.
     pub expose_masks: bool,
-    /// Seed of all noise.
+    /// Seed of all noise. Commands take it from `--seed`.
     pub seed: Seed,
 }
 
@@ -78,8 +78,12 @@ impl RecordingSettings {
         Intrinsics::from_fov(self.width, self.height, self.fov_x)
     }
 
-    fn check(&self, dir: &Path) -> Result<(), InputError> {
-        let wrong = |problem: &str, cure: &str| Err(InputError::new(problem, dir, cure));
+    /// Checks that the values are usable; errors name `source`.
+    ///
+    /// # Errors
+    /// [`InputError`] naming the first value that is out of range.
+    pub fn validate(&self, source: &Path) -> Result<(), InputError> {
+        let wrong = |problem: &str, cure: &str| Err(InputError::new(problem, source, cure));
         if self.frames == 0 {
             return wrong("a recording of zero frames was requested", "request at least 2 frames");
         }
@@ -187,7 +191,7 @@ fn record(
     cancel: &Cancel,
 ) -> Result<RecordingSummary, CoreError> {
     let SceneViews { scene, skins, poses, .. } = *views;
-    settings.check(dir)?;
+    settings.validate(dir)?;
     claim_folder(key, settings, dir)?;
     write_truth(scene, dir)?;
     let objects = objects_file(scene);

@@ -58,7 +58,8 @@ pub struct DepthCamera {
     pub grazing_cos: f64,
     /// Distance of the second imager, to the right along the image's rows, metres; 0 for none, and no shadows.
     pub baseline_m: f64,
-    /// Returned light (see [`DepthView::echo`]) below which measurements begin to be lost; all are below a quarter of it.
+    /// Returned light, relative to a white diffuse surface at the same slant, below which measurements begin to be lost; all are
+    /// below a quarter of it.
     pub dark_echo: f64,
     /// Returned light relative to that of a white diffuse surface that faces the camera at 1 m, below which measurements begin to be
     /// lost; all are below a quarter of it. Unlike `dark_echo` it falls with the slant and with the square of the distance. 0 for none.

@@ -85,8 +85,7 @@ impl Sensor {
     /// Returns the settings of a recording that is scaled to this width.
     pub fn recording_at(self, width: usize) -> RecordingSettings {
         let own = self.recording();
-        let height = (own.height as f64 * width as f64 / own.width as f64).round() as usize;
-        RecordingSettings { width, height, ..own }
+        RecordingSettings { width, height: own.height * width.min(1 << 20) / own.width, ..own }
     }
 
     /// Returns the errors of this sensor and of the poses that come with it.
