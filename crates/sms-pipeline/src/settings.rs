@@ -56,7 +56,7 @@ macro_rules! sections {
 }
 
 sections! {
-    "recording": RecordingSettings, "generated recordings (sms synth, sms demo): path, size and errors of the sensor", "[recording]";
+    "recording": RecordingSettings, "generated recordings (sms synth, sms demo): path, size and errors of the sensor";
     "read": ReadOptions, "reading of a recording";
     "frames": LoadSettings, "frames: size, choice, alignment";
     "poses": PosesConfig, "refinement of the camera poses";

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sms_core::{
-    Camera, Cancel, CoreError, DepthImage, Image, InputError, Intrinsics, Progress, Seed, atomic,
+    Camera, Cancel, CoreError, DepthImage, Image, InputError, Intrinsics, Progress, Ranges, Seed, atomic,
     hash_serializable, write_png_color, write_png_gray16,
 };
 use std::path::{Path, PathBuf};
@@ -78,38 +78,27 @@ impl RecordingSettings {
         Intrinsics::from_fov(self.width, self.height, self.fov_x)
     }
 
-    /// Checks that the values are usable; errors name `source`.
+    /// Checks that all values are in range.
     ///
     /// # Errors
-    /// [`InputError`] naming the first value that is out of range.
-    pub fn validate(&self, source: &Path) -> Result<(), InputError> {
-        let wrong = |problem: &str, cure: &str| Err(InputError::new(problem, source, cure));
-        if self.frames == 0 {
-            return wrong("a recording of zero frames was requested", "request at least 2 frames");
+    /// [`InputError`] that names the first key out of range and the allowed range.
+    pub fn validate(&self) -> Result<(), InputError> {
+        let r = Ranges::of("recording");
+        r.count("frames", self.frames, 1, 100_000)?;
+        r.count("width", self.width, 8, 8192)?;
+        r.count("height", self.height, 8, 8192)?;
+        r.within("fov_x", self.fov_x, 0.1, 2.8)?;
+        r.within("depth_unit_m", self.depth_unit_m, 1e-5, 0.01)?;
+        r.within("frame_rate_hz", self.frame_rate_hz, 1e-3, 1000.0)?;
+        let path = &self.path;
+        r.count("path.rounds", path.rounds, 1, 1000)?;
+        r.within("path.sphere_radius_m", path.sphere_radius_m, 0.01, 100.0)?;
+        r.within("path.plane_x_m", path.plane_x_m, -100.0, 100.0)?;
+        for height_m in path.height_range_m {
+            // Below the top of the sphere, where its circle has no radius.
+            r.within("path.height_range_m", height_m, 1e-3, 0.95 * path.sphere_radius_m)?;
         }
-        if self.width < 8 || self.height < 8 || self.width > 8192 || self.height > 8192 {
-            return wrong("the image size is out of range", "use a width and a height of 8 to 8192 pixels");
-        }
-        if !(self.fov_x > 0.1 && self.fov_x < 2.8) {
-            return wrong("the field of view is out of range", "use 0.1 to 2.8 rad");
-        }
-        if !(self.depth_unit_m >= 1e-5 && self.depth_unit_m <= 0.01) {
-            return wrong("the depth unit is out of range", "use 0.00001 to 0.01 m");
-        }
-        if !(self.frame_rate_hz > 0.0 && self.frame_rate_hz <= 1000.0) {
-            return wrong("the frame rate is out of range", "use more than 0 and up to 1000 Hz");
-        }
-        if let Some((name, [low, high])) = self.sensor.out_of_range() {
-            return wrong(&format!("sensor.{name} is out of range"), &format!("use {low} to {high}"));
-        }
-        let [low, high] = self.path.height_range_m;
-        if !(low > 0.0 && high > 0.0 && low.max(high) < 0.95 * self.path.sphere_radius_m) {
-            return wrong(
-                "the camera's height is out of range",
-                "use heights above 0 and below 0.95 sphere radii",
-            );
-        }
-        Ok(())
+        self.sensor.validate(&r)
     }
 }
 
@@ -191,7 +180,7 @@ fn record(
     cancel: &Cancel,
 ) -> Result<RecordingSummary, CoreError> {
     let SceneViews { scene, skins, poses, .. } = *views;
-    settings.validate(dir)?;
+    settings.validate().map_err(|error| InputError::new(error.what, dir, error.cure))?;
     claim_folder(key, settings, dir)?;
     write_truth(scene, dir)?;
     let objects = objects_file(scene);

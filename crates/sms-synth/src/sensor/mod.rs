@@ -18,6 +18,7 @@ pub use pose_errors::PoseErrors;
 pub use presets::Sensor;
 
 use serde::{Deserialize, Serialize};
+use sms_core::{InputError, Ranges};
 
 /// Everything about a sensor but its image size, field of view and path.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -32,9 +33,11 @@ pub struct SensorModel {
 }
 
 impl SensorModel {
-    /// Returns the name and the permitted range of the first setting that is out of it.
-    pub(crate) fn out_of_range(&self) -> Option<(&'static str, [f64; 2])> {
+    /// Checks that all values are in range; `r` are the checks of the section that has the key `sensor`.
+    pub(crate) fn validate(&self, r: &Ranges<'_>) -> Result<(), InputError> {
         let (d, c, p) = (&self.depth, &self.color, &self.poses);
+        r.count("sensor.depth.columns", d.columns, 0, 8192)?;
+        r.count("sensor.depth.dots", d.dots, 0, 1_000_000)?;
         let share = [0.0, 1.0];
         let settings = [
             ("depth.sigma_m", d.sigma_m, [0.0, 1.0]),
@@ -52,7 +55,7 @@ impl SensorModel {
             ("depth.baseline_m", d.baseline_m, [0.0, 1.0]),
             ("depth.dark_echo", d.dark_echo, [0.0, 100.0]),
             ("depth.lost_light", d.lost_light, [0.0, 100.0]),
-            ("depth.glare_echo", d.glare_echo, [0.0, f64::INFINITY]),
+            ("depth.glare_echo", d.glare_echo, [0.0, 1e6]),
             ("depth.hole_share", d.hole_share, share),
             ("depth.missing_share", d.missing_share, share),
             ("depth.missing_px", d.missing_px, [0.0, 1280.0]),
@@ -75,9 +78,9 @@ impl SensorModel {
             ("poses.jitter_m", p.jitter_m, [0.0, 10.0]),
             ("poses.jitter_rad", p.jitter_rad, [0.0, 3.1]),
         ];
-        settings
-            .into_iter()
-            .find(|(_, value, [low, high])| !(value >= low && value <= high))
-            .map(|(name, _, range)| (name, range))
+        for (key, value, [low, high]) in settings {
+            r.within(&format!("sensor.{key}"), value, low, high)?;
+        }
+        Ok(())
     }
 }

@@ -267,8 +267,8 @@ mod tests {
         for sensor in Sensor::ALL {
             assert_eq!(serde_json::to_value(sensor).unwrap(), sensor.as_str());
             assert_eq!(Sensor::named(sensor.as_str()), Some(sensor));
-            assert_eq!(sensor.model().out_of_range(), None);
             let settings = sensor.recording();
+            settings.validate().unwrap();
             assert_eq!(sensor.recording_at(settings.width), settings);
         }
         assert_eq!(Sensor::named("kinect"), None);
@@ -284,10 +284,11 @@ mod tests {
 
     #[test]
     fn values_out_of_range_are_named() {
-        let mut model = SensorModel::default();
-        model.color.exposure_s = f64::NAN;
-        assert_eq!(model.out_of_range().map(|(name, _)| name), Some("color.exposure_s"));
-        model.depth.missing_share = 1.5;
-        assert_eq!(model.out_of_range().map(|(name, _)| name), Some("depth.missing_share"));
+        let mut settings = RecordingSettings::default();
+        settings.sensor.color.exposure_s = f64::NAN;
+        let key = |settings: &RecordingSettings| settings.validate().unwrap_err().key().map(str::to_owned);
+        assert_eq!(key(&settings).as_deref(), Some("recording.sensor.color.exposure_s"));
+        settings.sensor.depth.missing_share = 1.5;
+        assert_eq!(key(&settings).as_deref(), Some("recording.sensor.depth.missing_share"));
     }
 }
