@@ -10,6 +10,7 @@ use crate::commands::optimisers::OptimisersArguments;
 use crate::commands::orbits::OrbitsArguments;
 use crate::commands::physics::PhysicsArguments;
 use crate::commands::plan::PlanSpeedArguments;
+use crate::commands::real_like::RealLikeArguments;
 use crate::commands::robust::RobustArguments;
 use crate::commands::scan::ScanStudyArguments;
 use crate::commands::scenes::ScenesArguments;
@@ -44,6 +45,9 @@ pub(crate) enum Experiment {
     Optimisers(OptimisersArguments),
     /// Refine the poses of generated orbits with faults of trackers and cameras: errors of scale, and of a box's extents.
     Orbits(OrbitsArguments),
+    /// Find and reconstruct objects in recordings with the errors of real sensors: billiards scenes and stacks with each of five
+    /// sensors.
+    RealLike(RealLikeArguments),
     /// Compare nominal with robust planning at equal cost, in true worlds with other materials than the planner was given
     /// (`--materials noisy`) and slightly displaced bodies. True geometry of generated scenes; by default the striker is a
     /// kinematic finger, and the engine the planner's.

@@ -80,7 +80,7 @@ pub(crate) fn shifted(source: &ColorImage, by_px: i64) -> ColorImage {
 }
 
 /// Three standard normal numbers.
-pub(crate) fn normals(rng: &mut StageRng) -> DVec3 {
+fn normals(rng: &mut StageRng) -> DVec3 {
     DVec3::from_array([(); 3].map(|()| normal(rng)))
 }
 

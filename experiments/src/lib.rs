@@ -6,6 +6,7 @@
 //! - [`export_scene`] writes the input of a scan and its truth for other programs; [`score_files`] measures their results
 //!   by the same functions.
 //! - [`run_masks`] scores masks, [`run_materialize`] the entities of scanned models.
+//! - [`run_real_like`] does both on recordings with the errors of real sensors.
 //! - [`run_optimisers`] compares search methods on generated scenes; [`run_robust`] compares plans in true worlds that are
 //!   samples of the planner's uncertainty.
 //! - [`run_billiards`] is the paper's Table 1 on eighteen fixed scenes: scan, materialize, plan, execute in the target
@@ -41,6 +42,7 @@ mod plan_speed;
 mod prepare;
 mod reachability;
 mod real;
+mod real_like;
 mod recordings;
 mod redrawn;
 mod reference;
@@ -96,6 +98,9 @@ pub use plan_speed::run_plan_speed;
 pub use prepare::{Prepared, prepare};
 pub use reachability::{
     Reachability, ReachabilityBench, reachability_metrics, reachability_table, run_reachability,
+};
+pub use real_like::{
+    RealLikeRow, is_held_out, real_like_metrics, real_like_scenes, real_like_table, run_real_like,
 };
 pub use recordings::{locate, recording};
 pub use reference::Yardstick;

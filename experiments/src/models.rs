@@ -34,10 +34,12 @@ const ORBIT_RADII: f64 = 2.8;
 const NEAREST_M: f64 = 0.25;
 
 /// Returns camera poses `X_WC` (OpenCV axes) on three rings around the box of an object, all aimed at its middle. Distances
-/// grow with the object, so that every object has about the same size in the images.
-pub(crate) fn orbit_poses(bounds: &Aabb, frames: usize) -> Vec<DPose3> {
+/// grow with the object, so that every object has about the same size in the images; no part of it is nearer than `near_m`,
+/// the shortest depth that the camera measures.
+pub(crate) fn orbit_poses(bounds: &Aabb, frames: usize, near_m: f64) -> Vec<DPose3> {
     let center = bounds.center();
-    let distance = (ORBIT_RADII * 0.5 * bounds.extents().length()).max(NEAREST_M);
+    let radius = 0.5 * bounds.extents().length();
+    let distance = (ORBIT_RADII * radius).max(NEAREST_M).max(near_m + radius);
     // Only the pose is used.
     let intrinsics = Intrinsics::from_fov(2, 2, 1.0);
     let mut ends = [0; 3];
@@ -72,11 +74,14 @@ mod tests {
         let placed = model_scene("cube", &model, Seed(1));
         let bounds = placed.scene.objects[0].aabb_w();
         assert!(bounds.min.z.abs() < 1e-12 && bounds.center().truncate().length() < 1e-12);
-        let poses = orbit_poses(&bounds, 60);
+        let poses = orbit_poses(&bounds, 60, 0.15);
         assert_eq!(poses.len(), 60);
         for x_wc in &poses {
             assert!((x_wc.translation - bounds.center()).length() >= 0.25 - 1e-12);
             assert!(x_wc.translation.z > 0.1);
+        }
+        for x_wc in orbit_poses(&bounds, 60, 0.5) {
+            assert!((x_wc.translation - bounds.center()).length() >= 0.5 + 0.05 * 3f64.sqrt() - 1e-12);
         }
     }
 }

@@ -8,7 +8,7 @@ use sms_frames::{LoadSettings, ReadOptions};
 use sms_gaussians::{Preset, ScanConfig};
 use sms_masks::GeometryConfig;
 use sms_poses::{PosesConfig, PosesMode};
-use sms_synth::CameraPath;
+use sms_synth::{CameraPath, RecordingSettings, Sensor};
 use std::path::PathBuf;
 
 /// Everything that a measurement depends on, besides the scene.
@@ -34,6 +34,10 @@ pub struct BenchOptions {
     pub frames: usize,
     /// Camera path in generated billiards scenes.
     pub path: CameraPath,
+    /// Sensor of generated recordings.
+    pub sensor: Sensor,
+    /// Width of generated recordings, pixels; 0 for the sensor's own.
+    pub width: usize,
     /// Disturbance of the frames.
     pub disturbance: Disturbance,
     /// Folder of the recordings.
@@ -60,6 +64,8 @@ impl BenchOptions {
             entities: EntitiesConfig::default(),
             frames: crate::scenes::FRAMES,
             path: CameraPath::default(),
+            sensor: Sensor::Gemini2,
+            width: 0,
             disturbance: Disturbance::default(),
             cache: cache.into(),
             meshes: true,
@@ -77,9 +83,25 @@ impl BenchOptions {
         }
     }
 
-    /// Returns the part of a cache key for a recording: the frames, and the path unless it is the default.
+    /// Returns the settings of a generated recording, but for its seed.
+    pub(crate) fn recording(&self) -> RecordingSettings {
+        let own = self.sensor.recording();
+        let width = if self.width == 0 { own.width } else { self.width };
+        let scaled = self.sensor.recording_at(width);
+        // Fewer frames on the same path are fewer of the same walk: the camera is as fast.
+        let frame_rate_hz = scaled.frame_rate_hz * self.frames as f64 / scaled.frames as f64;
+        RecordingSettings { frames: self.frames, frame_rate_hz, path: self.path.clone(), ..scaled }
+    }
+
+    /// Returns the part of a cache key for a recording: the frames, and path, sensor and width unless they are the defaults.
     pub(crate) fn recorded(&self) -> Value {
-        if self.path == CameraPath::default() { json!(self.frames) } else { json!([self.frames, self.path]) }
+        let is_usual = self.sensor == Sensor::Gemini2 && self.width == 0;
+        match (is_usual, self.path == CameraPath::default()) {
+            (true, true) => json!(self.frames),
+            (true, false) => json!([self.frames, self.path]),
+            // The settings themselves, so that a changed preset is another recording.
+            (false, _) => json!(self.recording()),
+        }
     }
 
     /// Returns the settings of a scan and its bodies by name, without scene and masks, to compare parts of a run.
@@ -107,5 +129,9 @@ mod tests {
         let paper = BenchOptions { path: CameraPath::paper(), ..usual.clone() };
         assert_ne!(paper.recorded(), usual.recorded());
         assert_eq!(paper.settings()[1], ("frames", paper.recorded()));
+        let phone = BenchOptions { sensor: Sensor::PhoneLidar, ..usual.clone() };
+        let small = BenchOptions { width: 320, ..phone.clone() };
+        assert!(phone.recorded() != usual.recorded() && phone.recorded() != small.recorded());
+        assert_eq!((small.recording().width, small.recording().height), (320, 240));
     }
 }

@@ -93,6 +93,7 @@ pub fn prepare(
         | BenchScene::Model(_)
         | BenchScene::Fixed(_)
         | BenchScene::Stacked(_)
+        | BenchScene::DrawnStacked(..)
         | BenchScene::Landing(_)
         | BenchScene::ScannedLanding(_) => Seed(0),
     };

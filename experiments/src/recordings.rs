@@ -10,7 +10,7 @@ use sms_synth::{
 };
 use std::path::PathBuf;
 
-/// Records a generated scene as `sms demo` does (1280×800, depth noise, the camera path of `options`; models from an orbit
+/// Records a generated scene as `sms demo` does (the sensor and the camera path of `options`; models from an orbit
 /// scaled to their size) into the cache, or finds the recording that is there. Folders are named by a hash of their inputs,
 /// from, so that a changed renderer version or setting is another recording; several processes may ask for the same one.
 ///
@@ -24,15 +24,18 @@ pub fn recording(
     cancel: &Cancel,
 ) -> Result<PathBuf, CoreError> {
     let (truth, frames) = (&made.scene, options.frames);
+    let settings = options.recording();
     let noise = match scene {
         BenchScene::Billiards(seed) | BenchScene::Ten(seed) => Seed(*seed),
         _ => truth.seed,
     };
-    let path = options.path.clone();
-    let settings = RecordingSettings { frames, seed: noise, path, ..RecordingSettings::default() };
+    let settings = RecordingSettings { seed: noise, ..settings };
+    let near_m = settings.sensor.depth.range_m[0];
     let orbit = match (scene, truth.objects.first()) {
-        (BenchScene::Model(_), Some(object)) => Some(orbit_poses(&object.aabb_w(), frames)),
-        (BenchScene::Stacked(_), _) => Some(orbit_poses(&bounds_w(truth), frames)),
+        (BenchScene::Model(_), Some(object)) => Some(orbit_poses(&object.aabb_w(), frames, near_m)),
+        (BenchScene::Stacked(_) | BenchScene::DrawnStacked(..), _) => {
+            Some(orbit_poses(&bounds_w(truth), frames, near_m))
+        }
         (BenchScene::Landing(_) | BenchScene::ScannedLanding(_), _) => {
             Some(HelicalPath::default().poses(truth, frames))
         }

@@ -66,6 +66,8 @@ pub enum BenchScene {
     Fixed(usize),
     /// Stacked or touching objects (`stacked_box_on_stool`), filmed from an orbit.
     Stacked(Structure),
+    /// The same structure with the sizes, colours and overhangs of another seed (`stacked_box_on_stool_2001`).
+    DrawnStacked(Structure, u64),
     /// One of the four fixed landing structures, by its number from 1 (`landing_1`), filmed from a helix; other numbers are seeds
     /// of drawn ones (`landing_1001`).
     Landing(usize),
@@ -84,6 +86,7 @@ impl fmt::Display for BenchScene {
             Self::Real(name) | Self::Model(name) => f.write_str(name),
             Self::Fixed(number) => write!(f, "fixed_{number:02}"),
             Self::Stacked(structure) => write!(f, "stacked_{}", structure.as_str()),
+            Self::DrawnStacked(structure, seed) => write!(f, "stacked_{}_{seed}", structure.as_str()),
             Self::Landing(number) => write!(f, "landing_{number}"),
             Self::ScannedLanding(number) => write!(f, "landing_scanned_{number}"),
         }
@@ -188,6 +191,7 @@ pub fn generated(scene: &BenchScene) -> Result<Option<ModelScene>, CoreError> {
             None => Ok(None),
         },
         BenchScene::Stacked(structure) => plain(generate_stacked(*structure, Seed(STACKED_SEED))),
+        BenchScene::DrawnStacked(structure, seed) => plain(generate_stacked(*structure, Seed(*seed))),
         BenchScene::Landing(number) => plain(landing_scene(*number as u64)),
         BenchScene::ScannedLanding(number) => {
             let dir = models_dir();

@@ -5,7 +5,7 @@ mod masks;
 pub(crate) use masks::{MasksArguments, MasksName, ModelsArguments, NetsArguments};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use sms_cli::front::{Common, EngineName, PathName, PosesName, PresetName};
+use sms_cli::front::{Common, EngineName, PathName, PosesName, PresetName, SensorName};
 use sms_pipeline::stages::LandingChooser;
 use sms_pipeline::{Device, Format, VlmMode};
 use std::path::PathBuf;
@@ -421,6 +421,9 @@ pub(crate) struct DemoArguments {
     /// Use a smaller recording and less search: half a minute for billiards, a minute for landing.
     #[arg(long)]
     pub quick: bool,
+    /// Sensor of the recording; `--set recording.sensor.…` changes its errors.
+    #[arg(long, value_enum, value_name = "NAME", default_value = "gemini2")]
+    pub sensor: SensorName,
     /// Resolution and number of training steps of the scan.
     #[arg(long, value_enum)]
     pub preset: Option<PresetName>,
@@ -472,12 +475,17 @@ pub(crate) struct SynthArguments {
     /// They become obstacles (family billiards) or replace box, tote, bin and stool (family landing).
     #[arg(long, value_name = "DIR")]
     pub meshes: Option<PathBuf>,
-    /// Number of frames.
-    #[arg(long, value_name = "N", default_value_t = 60)]
-    pub frames: usize,
-    /// Image width in pixels; the height is 5/8 of it.
-    #[arg(long, value_name = "PX", default_value_t = 1280)]
-    pub width: usize,
+    /// Sensor of the recording: its image size, field of view and errors.
+    ///
+    /// `--set recording.sensor.…` changes single errors, such as `--set recording.sensor.depth.missing_share=0.5`.
+    #[arg(long, value_enum, value_name = "NAME", default_value = "gemini2")]
+    pub sensor: SensorName,
+    /// Number of frames (default: 60).
+    #[arg(long, value_name = "N")]
+    pub frames: Option<usize>,
+    /// Image width in pixels (default: the sensor's); the height follows from it.
+    #[arg(long, value_name = "PX")]
+    pub width: Option<usize>,
     /// Heights of the camera path (not for the family landing).
     #[arg(long, value_enum, default_value = "high")]
     pub path: PathName,

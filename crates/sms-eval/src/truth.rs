@@ -8,7 +8,7 @@ use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
 use rayon::prelude::*;
 use sms_core::{Aabb, Camera, DepthImage, LabelMap, Mesh, Seed};
-use sms_synth::{CameraModel, DepthCamera, Renderer, TruthScene};
+use sms_synth::{CameraModel, Renderer, TruthScene};
 
 /// The true surface of one object.
 #[derive(Debug)]
@@ -170,8 +170,7 @@ pub struct TrueView {
 
 /// Renders true views of cameras in the truth's world.
 pub fn true_views(scene: &TruthScene, cameras: &[Camera]) -> Vec<TrueView> {
-    let model =
-        CameraModel { depth: DepthCamera::perfect(), color_sigma: 0.0, antialias: false, seed: Seed(0) };
+    let model = CameraModel { antialias: false, ..CameraModel::perfect() };
     let renderer = Renderer::new(scene);
     let view = |camera: &Camera| {
         let frame = renderer.render(camera, &model);

@@ -20,6 +20,7 @@ use sms_plan::PlanConfig;
 use sms_poses::PosesConfig;
 use sms_robots::RobotConfig;
 use sms_robots::autopilot::FlightFiles;
+use sms_synth::RecordingSettings;
 use sms_vlm::VlmConfig;
 use std::path::{Path, PathBuf};
 
@@ -55,6 +56,7 @@ macro_rules! sections {
 }
 
 sections! {
+    "recording": RecordingSettings, "generated recordings (sms synth, sms demo): path, size and errors of the sensor";
     "read": ReadOptions, "reading of a recording";
     "frames": LoadSettings, "frames: size, choice, alignment";
     "poses": PosesConfig, "refinement of the camera poses";

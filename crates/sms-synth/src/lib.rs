@@ -4,8 +4,8 @@
 //!   surface, convex pieces, true material and mass properties.
 //! - [`LandingStructure`] and [`generate_landing`]: structures for a quadrotor to land on, with the loads that topple them
 //!   ([`TruthScene::tipping_load_n`]); [`HelicalPath`] records them. [`landing_scene_among`] builds them with scanned models.
-//! - [`CameraPath`] and [`Renderer`]: the paper's camera path, and colour, depth and labels along it; [`DepthCamera`] simulates
-//!   the errors of a real stereo camera.
+//! - [`CameraPath`] and [`Renderer`]: the paper's camera path, and colour, depth and labels along it; [`Sensor`] has presets of real sensors,
+//!   whose errors [`DepthCamera`], [`ColorCamera`] and [`PoseErrors`] simulate.
 //! - [`read_model`] and [`standing`]: a scanned, textured model on a floor; [`record_views`] records it from any camera poses.
 //!   [`generate_billiards_among`] places such models among a billiards scene's obstacles.
 //! - [`make_asset`], [`make_pool_ball`], [`AssetBlueprint`], [`draw_floor`] and [`TruthScene::of_objects`]: parts of other scenes.
@@ -31,7 +31,6 @@ mod billiards;
 mod brdf;
 mod bvh;
 mod challenge;
-mod depth_camera;
 mod eighteen;
 mod floor;
 mod floor_light;
@@ -46,6 +45,7 @@ mod recording;
 mod render;
 mod scanned;
 mod scene;
+mod sensor;
 mod shading;
 mod shapes;
 mod skin;
@@ -55,7 +55,6 @@ mod tipping;
 pub use assets::{AssetBlueprint, AssetKind, BALL_RADIUS_M, HollowKind, make_asset, make_pool_ball};
 pub use billiards::{BilliardsSettings, generate_billiards};
 pub use challenge::{Layout, generate_challenge};
-pub use depth_camera::{DepthCamera, DepthView};
 pub use eighteen::{FIRST_DRAWN, FIXED_SCENES, FixedScene, billiards_scene};
 pub use floor::draw_floor;
 pub use landing::{LandingStructure, generate_landing, landing_scene, landing_structure};
@@ -69,6 +68,9 @@ pub use scanned::{NamedModel, generate_billiards_among, read_models};
 pub use scene::{
     Hollow, LandingTruth, SupportLevel, TruthFloor, TruthObject, TruthScene, bounds_w, name_uniquely, on_top,
     read_truth,
+};
+pub use sensor::{
+    ColorCamera, DepthCamera, DepthView, FrameState, Measured, PoseErrors, Sensor, SensorModel,
 };
 pub use shapes::{PartedSolid, cuboid_union};
 pub use skin::Skin;

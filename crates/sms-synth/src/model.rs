@@ -214,7 +214,7 @@ mod tests {
     use super::*;
     use crate::floor::draw_floor;
     use crate::materials::draw_material;
-    use crate::{CameraModel, DepthCamera, Renderer};
+    use crate::{CameraModel, Renderer};
     use sms_core::{Camera, Intrinsics, Seed};
 
     fn write(dir: &Path, name: &str, text: &str) {
@@ -262,8 +262,7 @@ mod tests {
         );
         let eye = bounds.center() + DVec3::new(0.06, 0.07, 0.23);
         let camera = Camera::look_at(Intrinsics::from_fov(160, 100, 1.2), eye, bounds.center(), DVec3::Z);
-        let sensor =
-            CameraModel { depth: DepthCamera::perfect(), color_sigma: 0.0, antialias: true, seed: Seed(0) };
+        let sensor = CameraModel::perfect();
         let frame = Renderer::with_skins(&scene, &skins).render(&camera, &sensor);
         // Seen from above: on the top the picture is red, on the sides mostly blue.
         let mut red = [0usize; 2];

@@ -1,17 +1,16 @@
 //! Recordings of generated scenes in nerfstudio's layout.
 
-use crate::depth_camera::DepthCamera;
 use crate::path::CameraPath;
 use crate::render::{CameraModel, Renderer};
 use crate::scene::TruthScene;
+use crate::sensor::{FrameState, SensorModel};
 use crate::skin::Skin;
-use glamx::{DMat4, DPose3, DQuat, DVec3};
-use rand::RngExt;
+use glamx::{DMat4, DPose3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sms_core::{
-    Camera, Cancel, CoreError, DepthImage, Image, InputError, Intrinsics, Progress, Seed, StageRng, atomic,
+    Camera, Cancel, CoreError, DepthImage, Image, InputError, Intrinsics, Progress, Ranges, Seed, atomic,
     hash_serializable, write_png_color, write_png_gray16,
 };
 use std::path::{Path, PathBuf};
@@ -32,20 +31,17 @@ pub struct RecordingSettings {
     pub fov_x: f64,
     /// Path of the camera.
     pub path: CameraPath,
-    /// Errors of the depth camera.
-    pub noise: DepthCamera,
-    /// Standard deviation of the colour noise in 8-bit levels.
-    pub color_sigma: f32,
-    /// Standard deviation of the recorded camera position per axis, metres (paper: none).
-    pub pose_noise_m: f64,
-    /// Standard deviation of the recorded camera rotation per axis, radians (paper: none).
-    pub pose_noise_rad: f64,
+    /// Frames that are recorded in a second: with the path it decides how fast the camera moves, and by that how much its colour is
+    /// blurred. By default, the frames that a slow hand leaves: 0.25 m/s on the paper's path of 15 m with 60 frames.
+    pub frame_rate_hz: f64,
+    /// Errors of the sensor and of the recorded poses (paper: exact poses). `--sensor` chooses among presets.
+    pub sensor: SensorModel,
     /// Metres per unit of the 16-bit depth images.
     pub depth_unit_m: f64,
     /// Whether label images of the truth are part of the recording: referenced by `transforms.json` and listed in
     /// `objects.json`.
     pub expose_masks: bool,
-    /// Seed of all noise.
+    /// Seed of all noise. Commands take it from `--seed`.
     pub seed: Seed,
 }
 
@@ -57,10 +53,8 @@ impl Default for RecordingSettings {
             height: 800,
             fov_x: 72f64.to_radians(),
             path: CameraPath::default(),
-            noise: DepthCamera::default(),
-            color_sigma: 1.2,
-            pose_noise_m: 0.0,
-            pose_noise_rad: 0.0,
+            frame_rate_hz: 1.0,
+            sensor: SensorModel::default(),
             depth_unit_m: 0.0001,
             expose_masks: false,
             seed: Seed(0),
@@ -84,28 +78,27 @@ impl RecordingSettings {
         Intrinsics::from_fov(self.width, self.height, self.fov_x)
     }
 
-    fn check(&self, dir: &Path) -> Result<(), InputError> {
-        let wrong = |problem: &str, cure: &str| Err(InputError::new(problem, dir, cure));
-        if self.frames == 0 {
-            return wrong("a recording of zero frames was requested", "request at least 2 frames");
+    /// Checks that all values are in range.
+    ///
+    /// # Errors
+    /// [`InputError`] that names the first key out of range and the allowed range.
+    pub fn validate(&self) -> Result<(), InputError> {
+        let r = Ranges::of("recording");
+        r.count("frames", self.frames, 1, 100_000)?;
+        r.count("width", self.width, 8, 8192)?;
+        r.count("height", self.height, 8, 8192)?;
+        r.within("fov_x", self.fov_x, 0.1, 2.8)?;
+        r.within("depth_unit_m", self.depth_unit_m, 1e-5, 0.01)?;
+        r.within("frame_rate_hz", self.frame_rate_hz, 1e-3, 1000.0)?;
+        let path = &self.path;
+        r.count("path.rounds", path.rounds, 1, 1000)?;
+        r.within("path.sphere_radius_m", path.sphere_radius_m, 0.01, 100.0)?;
+        r.within("path.plane_x_m", path.plane_x_m, -100.0, 100.0)?;
+        for height_m in path.height_range_m {
+            // Below the top of the sphere, where its circle has no radius.
+            r.within("path.height_range_m", height_m, 1e-3, 0.95 * path.sphere_radius_m)?;
         }
-        if self.width < 8 || self.height < 8 || self.width > 8192 || self.height > 8192 {
-            return wrong("the image size is out of range", "use a width and a height of 8 to 8192 pixels");
-        }
-        if !(self.fov_x > 0.1 && self.fov_x < 2.8) {
-            return wrong("the field of view is out of range", "use 0.1 to 2.8 rad");
-        }
-        if !(self.depth_unit_m >= 1e-5 && self.depth_unit_m <= 0.01) {
-            return wrong("the depth unit is out of range", "use 0.00001 to 0.01 m");
-        }
-        let [low, high] = self.path.height_range_m;
-        if !(low > 0.0 && high > 0.0 && low.max(high) < 0.95 * self.path.sphere_radius_m) {
-            return wrong(
-                "the camera's height is out of range",
-                "use heights above 0 and below 0.95 sphere radii",
-            );
-        }
-        Ok(())
+        self.sensor.validate(&r)
     }
 }
 
@@ -129,7 +122,7 @@ struct RecordingKey {
 }
 
 /// Records a scene into `dir` in nerfstudio's layout: `transforms.json` (camera-to-world matrices with OpenGL axes),
-/// `color/`, `depth/` (16-bit PNG), and `truth/` with `truth.json`, the true label images and their list. Only with
+/// `color/`, `depth/` (16-bit PNG), `confidence/` for sensors that state it, and `truth/` with `truth.json`, the true label images and their list. Only with
 /// `expose_masks` do `masks/` and `objects.json` exist outside `truth/`.
 ///
 /// Existing frames are kept, so that an interrupted recording resumes; `transforms.json` is written last.
@@ -187,7 +180,7 @@ fn record(
     cancel: &Cancel,
 ) -> Result<RecordingSummary, CoreError> {
     let SceneViews { scene, skins, poses, .. } = *views;
-    settings.check(dir)?;
+    settings.validate().map_err(|error| InputError::new(error.what, dir, error.cure))?;
     claim_folder(key, settings, dir)?;
     write_truth(scene, dir)?;
     let objects = objects_file(scene);
@@ -196,6 +189,7 @@ fn record(
         atomic::write_json(&dir.join("objects.json"), &objects)?;
     }
     let renderer = Renderer::with_skins(scene, skins);
+    let gains = settings.sensor.color.gains(poses.len(), settings.seed);
     let (done, rendered) = (AtomicU64::new(0), AtomicU64::new(0));
     progress.begin("record", settings.frames as u64);
     let written: Vec<Result<(), CoreError>> = poses
@@ -203,7 +197,9 @@ fn record(
         .enumerate()
         .map(|(index, &x_wc)| {
             cancel.check()?;
-            if write_frame(&renderer, settings, dir, index, x_wc)? {
+            let state = FrameState::on_path(poses, index, settings.frame_rate_hz);
+            let state = FrameState { gain: gains[index], ..state };
+            if write_frame(&renderer, settings, dir, index, (x_wc, &state))? {
                 rendered.fetch_add(1, Ordering::Relaxed);
             }
             let count = done.fetch_add(1, Ordering::Relaxed) + 1;
@@ -237,7 +233,7 @@ fn claim_folder(scene: String, settings: &RecordingSettings, dir: &Path) -> Resu
             let what = "this folder holds a recording of another scene or with other settings";
             return Err(InputError::new(what, dir, "choose another folder, or remove this one").into());
         }
-        for folder in ["color", "depth", "masks", "truth", "truth/masks"] {
+        for folder in ["color", "depth", "confidence", "masks", "truth", "truth/masks"] {
             atomic::remove_leftovers(&dir.join(folder));
         }
         return Ok(());
@@ -260,9 +256,12 @@ fn write_frame(
     settings: &RecordingSettings,
     dir: &Path,
     index: usize,
-    x_wc: DPose3,
+    (x_wc, state): (DPose3, &FrameState),
 ) -> Result<bool, CoreError> {
     let mut folders = vec!["color", "depth", "truth/masks"];
+    if settings.sensor.depth.has_confidence {
+        folders.push("confidence");
+    }
     if settings.expose_masks {
         folders.push("masks");
     }
@@ -271,17 +270,20 @@ fn write_frame(
         return Ok(false);
     }
     let model = CameraModel {
-        depth: settings.noise.clone(),
-        color_sigma: settings.color_sigma,
+        depth: settings.sensor.depth.clone(),
+        color: settings.sensor.color.clone(),
         antialias: true,
         seed: settings.seed.derive_index("frame", index as u64),
     };
-    let frame = renderer.render(&Camera::new(settings.intrinsics(), x_wc), &model);
+    let frame = renderer.render_moving(&Camera::new(settings.intrinsics(), x_wc), &model, state);
     write_png_color(&dir.join(frame_name("color", index)), &frame.color)?;
     write_png_gray16(
         &dir.join(frame_name("depth", index)),
         &encode_depth(&frame.depth_noisy, settings.depth_unit_m),
     )?;
+    if let Some(confidence) = &frame.confidence {
+        write_png_gray16(&dir.join(frame_name("confidence", index)), confidence)?;
+    }
     for folder in folders.iter().filter(|f| f.ends_with("masks")) {
         write_png_gray16(&dir.join(frame_name(folder, index)), &frame.label)?;
     }
@@ -306,19 +308,23 @@ fn objects_file(scene: &TruthScene) -> Value {
 /// Returns the contents of `transforms.json`; the order of the keys is that of the file.
 fn transforms(settings: &RecordingSettings, poses: &[DPose3]) -> Value {
     let k = settings.intrinsics();
+    let depth = &settings.sensor.depth;
+    let recorded = settings.sensor.poses.applied(poses, settings.seed);
     let frame = |(index, x_wc): (usize, &DPose3)| {
-        let mut rng = settings.seed.derive_index("pose", index as u64).rng();
         let mut frame = json!({
             "file_path": frame_name("color", index),
             "depth_file_path": frame_name("depth", index),
         });
+        if depth.has_confidence {
+            frame["confidence_file_path"] = frame_name("confidence", index).into();
+        }
         if settings.expose_masks {
             frame["mask_path"] = frame_name("masks", index).into();
         }
-        frame["transform_matrix"] = json!(opengl_matrix(&disturbed(x_wc, settings, &mut rng)));
+        frame["transform_matrix"] = json!(opengl_matrix(x_wc));
         frame
     };
-    json!({
+    let mut all = json!({
         "camera_model": "OPENCV",
         "fl_x": k.fx,
         "fl_y": k.fy,
@@ -335,17 +341,17 @@ fn transforms(settings: &RecordingSettings, poses: &[DPose3]) -> Value {
         "world_up": [0.0, 0.0, 1.0],
         "world_is_aligned": true,
         "camera_convention": "opengl",
-        "frames": poses.iter().enumerate().map(frame).collect::<Vec<_>>(),
-    })
-}
-
-/// Adds the noise of a tracking system to a pose.
-fn disturbed(x_wc: &DPose3, settings: &RecordingSettings, rng: &mut StageRng) -> DPose3 {
-    // The sum of twelve uniform numbers is near normal with unit variance.
-    let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
-    let shift = DVec3::new(normal(), normal(), normal()) * settings.pose_noise_m;
-    let turn = DVec3::new(normal(), normal(), normal()) * settings.pose_noise_rad;
-    DPose3::from_parts(x_wc.translation + shift, x_wc.rotation * DQuat::from_scaled_axis(turn))
+        "frames": recorded.iter().enumerate().map(frame).collect::<Vec<_>>(),
+    });
+    let own = depth.intrinsics(&k);
+    if own != k {
+        for (key, value) in
+            [("depth_fl_x", own.fx), ("depth_fl_y", own.fy), ("depth_cx", own.cx), ("depth_cy", own.cy)]
+        {
+            all[key] = value.into();
+        }
+    }
+    all
 }
 
 /// Returns the rows of the 4 × 4 camera-to-world matrix with OpenGL axes.

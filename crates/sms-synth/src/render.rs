@@ -3,35 +3,42 @@
 
 use crate::ambient::{Ambient, MeanColors};
 use crate::brdf::Reflectance;
-use crate::depth_camera::{DepthCamera, DepthView, irwin_hall};
 use crate::floor_light::FloorLight;
 use crate::ray_scene::{RayHit, RayScene};
 use crate::scene::TruthScene;
+use crate::sensor::{ColorCamera, ColorRays, DepthCamera, DepthView, FrameState, Rays, irwin_hall};
 use crate::shading::{LAMPS, backdrop, tone_map};
 use crate::skin::Skin;
 use crate::texture::{hash, linear_from_srgb, srgb_channels};
-use glamx::{Mat3, Vec3};
+use glamx::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sms_core::{Camera, ColorImage, DepthImage, Image, LabelMap, Seed};
+use sms_core::{Camera, ColorImage, DepthImage, Image, Intrinsics, LabelMap, Seed};
 
-/// The sensor: everything about the camera but its intrinsics and pose.
+/// The sensor in one frame: everything about the camera but its intrinsics, pose and motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraModel {
     /// Errors of the depth camera.
     pub depth: DepthCamera,
-    /// Standard deviation of the colour noise, in 8-bit levels.
-    pub color_sigma: f32,
+    /// Errors of the colour camera.
+    pub color: ColorCamera,
     /// Whether edges are supersampled (colour only).
     pub antialias: bool,
     /// Seed of all noise of this frame.
     pub seed: Seed,
 }
 
+impl CameraModel {
+    /// A camera without errors, for measuring against.
+    pub fn perfect() -> Self {
+        Self { depth: DepthCamera::perfect(), color: ColorCamera::perfect(), ..Self::default() }
+    }
+}
+
 impl Default for CameraModel {
     fn default() -> Self {
-        Self { depth: DepthCamera::default(), color_sigma: 1.2, antialias: true, seed: Seed(0) }
+        Self { depth: DepthCamera::default(), color: ColorCamera::default(), antialias: true, seed: Seed(0) }
     }
 }
 
@@ -42,8 +49,11 @@ pub struct RenderedFrame {
     pub color: ColorImage,
     /// True depth along the optical axis in metres, at pixel centres; 0 without a surface.
     pub depth: DepthImage,
-    /// Depth as the depth camera measures it.
+    /// Depth as the depth camera measures it; smaller than `depth` where the camera records it so, see
+    /// [`DepthCamera::fills_image`].
     pub depth_noisy: DepthImage,
+    /// Confidence of each pixel of `depth_noisy`: 0 low, 1 medium, 2 high; `None` for a camera that states none.
+    pub confidence: Option<Image<u16>>,
     /// Object index + 1, 0 for the floor and beyond.
     pub label: LabelMap,
 }
@@ -99,56 +109,101 @@ impl<'a> Renderer<'a> {
         Self { scene, skins, stage, floor_light, ambient }
     }
 
-    /// Renders one frame. Every pixel depends on the scene, the camera and the seed only, not on threads.
+    /// Renders one frame of a camera at rest. Every pixel depends on the scene, the camera and the seed only, not on threads.
     pub fn render(&self, camera: &Camera, model: &CameraModel) -> RenderedFrame {
+        self.render_moving(camera, model, &FrameState::default())
+    }
+
+    /// Renders one frame of a camera that moves: `camera` has the pose at which depth is taken.
+    pub fn render_moving(&self, camera: &Camera, model: &CameraModel, state: &FrameState) -> RenderedFrame {
         let k = &camera.intrinsics;
         let (width, height) = (k.width, k.height);
-        let rotation = Mat3::from_quat(camera.x_wc.rotation.as_quat());
-        let eye = camera.x_wc.translation.as_vec3();
-        let direction = |u: f64, v: f64| {
-            rotation * Vec3::new(((u - k.cx) / k.fx) as f32, ((v - k.cy) / k.fy) as f32, 1.0)
+        let at_rest = Rays::new(camera);
+        let pixels = self.traced(k, |_| at_rest);
+        let depth = plane(k, &pixels, |p| p.depth);
+        let color = if model.color.has_own_rays(state) {
+            let rays = ColorRays::new(camera, &model.color, state, near_depth(&depth));
+            let seen = self.traced(k, |row| rays.middle(row));
+            self.color(k, model, state.gain, &seen, |row, moment| rays.at(row, moment), rays.moments)
+        } else {
+            self.color(k, model, state.gain, &pixels, |_, _| at_rest, 1)
         };
-        let pixel_angle = 1.0 / (k.fx * k.fy).sqrt() as f32;
-        let mut pixels = vec![TracedPixel::default(); width * height];
-        pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+        let (cos_incidence, echo) = (plane(k, &pixels, |p| p.cos_incidence), plane(k, &pixels, |p| p.echo));
+        let label = Image::from_vec(width, height, pixels.iter().map(|p| p.label).collect());
+        let view = DepthView {
+            depth: &depth,
+            cos_incidence: &cos_incidence,
+            echo: &echo,
+            intrinsics: k,
+            guide: Some(&color),
+        };
+        let measured = model.depth.measure(&view, model.seed.derive("depth"));
+        RenderedFrame { color, depth, depth_noisy: measured.depth, confidence: measured.confidence, label }
+    }
+
+    /// Traces one ray through the centre of each pixel; `rays` are those of a row.
+    fn traced(&self, k: &Intrinsics, rays: impl Fn(usize) -> Rays + Sync) -> Vec<TracedPixel> {
+        let pixel_angle = pixel_angle(k);
+        let mut pixels = vec![TracedPixel::default(); k.width * k.height];
+        pixels.par_chunks_mut(k.width).enumerate().for_each(|(y, row)| {
+            let rays = rays(y);
             for (x, pixel) in row.iter_mut().enumerate() {
-                let d = direction(x as f64 + 0.5, y as f64 + 0.5);
-                *pixel = self.trace(eye, d, pixel_angle, [x, y, 0]);
+                let d = rays.direction(x as f64 + 0.5, y as f64 + 0.5);
+                *pixel = self.trace(rays.eye, d, pixel_angle, [x, y, 0]);
             }
         });
+        pixels
+    }
+
+    /// Returns the colour image. `pixels` are its rays through pixel centres; `rays` are those of a row at one of the `moments` of the
+    /// exposure.
+    fn color(
+        &self,
+        k: &Intrinsics,
+        model: &CameraModel,
+        gain: f64,
+        pixels: &[TracedPixel],
+        rays: impl Fn(usize, f64) -> Rays + Sync,
+        moments: usize,
+    ) -> ColorImage {
+        // A rotated grid of four samples; the centre sample is replaced, not added.
+        const GRID: [(f64, f64); 4] = [(0.375, 0.125), (0.875, 0.375), (0.625, 0.875), (0.125, 0.625)];
+        let (width, height, pixel_angle) = (k.width, k.height, pixel_angle(k));
+        let gain = gain as f32;
         let mut color = Image::filled(width, height, [0u8; 3]);
         let noise_seed = model.seed.derive("color").0 as u32;
         color.data.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+            let middle = rays(y, 0.5 * moments as f64);
+            let exposed: Vec<Rays> = (0..moments).map(|i| rays(y, i as f64 + 0.5)).collect();
             for (x, out) in row.iter_mut().enumerate() {
-                let mut rgb = tone_map(pixels[y * width + x].color);
-                if model.antialias && on_edge(&pixels, width, height, x, y) {
-                    // A rotated grid of four samples; the centre sample is replaced, not added.
+                let mut rgb = tone_map(pixels[y * width + x].color * gain);
+                if moments > 1 {
+                    // The sensor sums up light, so that moments are averaged before the tone curve.
+                    let mut light = Vec3::ZERO;
+                    for (i, rays) in exposed.iter().enumerate() {
+                        let (dx, dy) = if model.antialias { GRID[i % GRID.len()] } else { (0.5, 0.5) };
+                        let d = rays.direction(x as f64 + dx, y as f64 + dy);
+                        light += self.trace(rays.eye, d, pixel_angle, [x, y, i + 1]).color;
+                    }
+                    rgb = tone_map(light * (gain / moments as f32));
+                } else if model.antialias && on_edge(pixels, width, height, x, y) {
                     rgb = Vec3::ZERO;
-                    for (i, (dx, dy)) in [(0.375, 0.125), (0.875, 0.375), (0.625, 0.875), (0.125, 0.625)]
-                        .into_iter()
-                        .enumerate()
-                    {
-                        let d = direction(x as f64 + dx, y as f64 + dy);
-                        rgb += 0.25 * tone_map(self.trace(eye, d, pixel_angle, [x, y, i + 1]).color);
+                    for (i, (dx, dy)) in GRID.into_iter().enumerate() {
+                        let d = middle.direction(x as f64 + dx, y as f64 + dy);
+                        rgb += 0.25
+                            * tone_map(self.trace(middle.eye, d, pixel_angle, [x, y, i + 1]).color * gain);
                     }
                 }
                 let mut channel = 0;
                 *out = srgb_channels(rgb).map(|v| {
                     channel += 2;
                     let noise =
-                        irwin_hall(noise_seed, x as i32, y as i32, channel) as f32 * model.color_sigma;
+                        irwin_hall(noise_seed, x as i32, y as i32, channel) as f32 * model.color.sigma_levels;
                     (v * 255.0 + noise + 0.5).clamp(0.0, 255.0) as u8
                 });
             }
         });
-        let plane =
-            |of: fn(&TracedPixel) -> f32| Image::from_vec(width, height, pixels.iter().map(of).collect());
-        let depth = plane(|p| p.depth);
-        let (cos_incidence, echo) = (plane(|p| p.cos_incidence), plane(|p| p.echo));
-        let label = Image::from_vec(width, height, pixels.iter().map(|p| p.label).collect());
-        let view = DepthView { depth: &depth, cos_incidence: &cos_incidence, echo: &echo, fx: k.fx };
-        let depth_noisy = model.depth.measure(&view, model.seed.derive("depth"));
-        RenderedFrame { color, depth, depth_noisy, label }
+        color
     }
 
     /// Traces one ray whose `direction` has length 1 along the optical axis, so that distances are depths. `sample` is the
@@ -283,6 +338,23 @@ impl<'a> Renderer<'a> {
         }
         Some(matte * light + surface.finish.lobe_share(0.8) * self.ambient.on(&hit))
     }
+}
+
+/// Returns a property of the pixels as an image.
+fn plane(k: &Intrinsics, pixels: &[TracedPixel], of: fn(&TracedPixel) -> f32) -> Image<f32> {
+    Image::from_vec(k.width, k.height, pixels.iter().map(of).collect())
+}
+
+/// Returns the angle of a pixel, radians.
+fn pixel_angle(k: &Intrinsics) -> f32 {
+    1.0 / (k.fx * k.fy).sqrt() as f32
+}
+
+/// Returns a depth that a tenth of the surface is nearer than, metres; 1 without any.
+fn near_depth(depth: &DepthImage) -> f64 {
+    let mut seen: Vec<f32> = depth.data.iter().copied().filter(|z| *z > 0.0).collect();
+    let tenth = seen.len() / 10;
+    if seen.is_empty() { 1.0 } else { f64::from(*seen.select_nth_unstable_by(tenth, f32::total_cmp).1) }
 }
 
 struct ShadedSurface {

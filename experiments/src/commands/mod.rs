@@ -11,6 +11,7 @@ pub(crate) mod optimisers;
 pub(crate) mod orbits;
 pub(crate) mod physics;
 pub(crate) mod plan;
+pub(crate) mod real_like;
 pub(crate) mod robust;
 pub(crate) mod scan;
 pub(crate) mod scenes;

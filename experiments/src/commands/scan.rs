@@ -180,6 +180,7 @@ fn is_absent(scene: &BenchScene) -> bool {
         | BenchScene::Ten(_)
         | BenchScene::Fixed(_)
         | BenchScene::Stacked(_)
+        | BenchScene::DrawnStacked(..)
         | BenchScene::Landing(_)
         | BenchScene::ScannedLanding(_) => false,
         BenchScene::Model(name) => !sms_experiments::model_path(name).is_file(),

@@ -20,8 +20,12 @@ pub(crate) fn run(console: &Console, a: &DemoArguments) -> anyhow::Result<()> {
     let began = Instant::now();
     let name = if a.name == DemoName::Landing { "landing" } else { "billiards" };
     let (root, recording) = folders(a, name)?;
-    let base = if a.quick { RecordingSettings::quick() } else { RecordingSettings::default() };
-    record(console, a, &RecordingSettings { seed: Seed(a.seed), ..base }, &recording)?;
+    let usual = if a.quick { RecordingSettings::quick() } else { RecordingSettings::default() };
+    let sensor = a.sensor.sensor().recording();
+    let width = if a.quick { usual.width } else { sensor.width };
+    let base = RecordingSettings { frames: usual.frames, ..a.sensor.sensor().recording_at(width) };
+    let settings = console.context.settings.section("recording", base)?;
+    record(console, a, &RecordingSettings { seed: Seed(a.seed), ..settings }, &recording)?;
     reconstruct(console, a, &root, &recording)?;
 
     let run = Run::new(&root, &console.context);

@@ -13,16 +13,7 @@ use sms_synth::{
 pub(crate) fn run(console: &Console, a: &SynthArguments) -> anyhow::Result<()> {
     let made = scene(console, a)?;
     let truth = &made.scene;
-    let settings = RecordingSettings {
-        frames: a.frames,
-        width: a.width,
-        height: a.width * 5 / 8,
-        path: a.path.path(),
-        pose_noise_m: a.pose_noise_mm * 1e-3,
-        pose_noise_rad: a.pose_noise_deg.to_radians(),
-        seed: Seed(a.seed),
-        ..RecordingSettings::default()
-    };
+    let settings = recording(console, a)?;
     let poses = match &truth.landing {
         Some(_) => HelicalPath::default().poses(truth, settings.frames),
         None => settings.path.poses(truth, settings.frames),
@@ -43,6 +34,24 @@ pub(crate) fn run(console: &Console, a: &SynthArguments) -> anyhow::Result<()> {
         a.folder.display()
     ));
     Ok(())
+}
+
+/// The sensor's settings, then those of the user, then the arguments.
+fn recording(console: &Console, a: &SynthArguments) -> anyhow::Result<RecordingSettings> {
+    let sensor = a.sensor.sensor();
+    let base = a.width.map_or_else(|| sensor.recording(), |width| sensor.recording_at(width));
+    let base = RecordingSettings { path: a.path.path(), ..base };
+    let mut settings = console.context.settings.section("recording", base)?;
+    settings.seed = Seed(a.seed);
+    settings.frames = a.frames.unwrap_or(settings.frames);
+    let poses = &mut settings.sensor.poses;
+    if a.pose_noise_mm != 0.0 {
+        poses.jitter_m = a.pose_noise_mm * 1e-3;
+    }
+    if a.pose_noise_deg != 0.0 {
+        poses.jitter_rad = a.pose_noise_deg.to_radians();
+    }
+    Ok(settings)
 }
 
 fn scene(console: &Console, a: &SynthArguments) -> anyhow::Result<ModelScene> {

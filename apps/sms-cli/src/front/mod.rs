@@ -31,4 +31,4 @@ mod warning_text;
 
 pub use arguments::{Common, ProgressKind};
 pub use console::{Console, note};
-pub use values::{EngineName, PathName, PosesName, PresetName};
+pub use values::{EngineName, PathName, PosesName, PresetName, SensorName};

@@ -3,7 +3,7 @@
 use clap::ValueEnum;
 use sms_gaussians::Preset;
 use sms_poses::PosesMode;
-use sms_synth::CameraPath;
+use sms_synth::{CameraPath, Sensor};
 use sms_target::TargetEngine;
 
 /// Preset of the scan.
@@ -24,6 +24,35 @@ impl PresetName {
             Self::Draft => Preset::Draft,
             Self::Standard => Preset::Standard,
             Self::Fine => Preset::Fine,
+        }
+    }
+}
+
+/// Sensor of a generated recording.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+pub enum SensorName {
+    /// Orbbec Gemini 2, structured-light stereo, with exact poses and colour at rest (default).
+    Gemini2,
+    /// Intel RealSense D435, active stereo.
+    D435,
+    /// Microsoft Azure Kinect, time of flight.
+    AzureKinect,
+    /// Asus Xtion Pro Live, structured light.
+    Xtion,
+    /// A phone's lidar: 256 × 192 depth from few dots, with confidence.
+    PhoneLidar,
+}
+
+impl SensorName {
+    /// Returns the library's preset.
+    pub fn sensor(self) -> Sensor {
+        match self {
+            Self::Gemini2 => Sensor::Gemini2,
+            Self::D435 => Sensor::D435,
+            Self::AzureKinect => Sensor::AzureKinect,
+            Self::Xtion => Sensor::Xtion,
+            Self::PhoneLidar => Sensor::PhoneLidar,
         }
     }
 }

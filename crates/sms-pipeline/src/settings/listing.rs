@@ -14,6 +14,7 @@ use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
 use sms_robots::RobotConfig;
 use sms_robots::autopilot::FlightFiles;
+use sms_synth::RecordingSettings;
 
 /// Longest line of a comment, characters.
 const WIDTH: usize = 100;
@@ -28,6 +29,7 @@ pub fn values(settings: &Settings, preset: Preset) -> Result<Map<String, Value>,
     let mut all = Map::new();
     for (name, _) in SECTIONS {
         let value = match *name {
+            "recording" => serde_json::to_value(settings.section(name, RecordingSettings::default())?)?,
             "read" => serde_json::to_value(settings.section(name, ReadOptions::default())?)?,
             "frames" => serde_json::to_value(&frames)?,
             "poses" => serde_json::to_value(settings.section(name, poses_defaults(&frames))?)?,

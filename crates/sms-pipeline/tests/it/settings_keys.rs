@@ -6,7 +6,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The types of the sections.
-const TYPES: [(&str, &str); 12] = [
+const TYPES: [(&str, &str); 13] = [
+    ("recording", "RecordingSettings"),
     ("read", "ReadOptions"),
     ("frames", "LoadSettings"),
     ("poses", "PosesConfig"),

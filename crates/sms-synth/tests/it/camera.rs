@@ -4,8 +4,8 @@ use glamx::DVec3;
 use rand::RngExt;
 use sms_core::{Camera, Seed};
 use sms_synth::{
-    AssetKind, BilliardsSettings, CameraModel, CameraPath, DepthCamera, RecordingSettings, RenderedFrame,
-    Renderer, TruthScene, generate_billiards,
+    AssetKind, BilliardsSettings, CameraModel, CameraPath, RecordingSettings, RenderedFrame, Renderer,
+    TruthScene, generate_billiards,
 };
 
 fn render(scene: &TruthScene, camera: &Camera, model: &CameraModel) -> RenderedFrame {
@@ -13,7 +13,7 @@ fn render(scene: &TruthScene, camera: &Camera, model: &CameraModel) -> RenderedF
 }
 
 fn perfect() -> CameraModel {
-    CameraModel { depth: DepthCamera::perfect(), color_sigma: 0.0, ..CameraModel::default() }
+    CameraModel::perfect()
 }
 
 fn scene() -> TruthScene {

@@ -5,3 +5,4 @@ mod challenge;
 mod landing;
 mod recordings;
 mod scenes;
+mod shutter;

@@ -3,7 +3,8 @@
 use glamx::{DMat4, DVec4};
 use sms_core::{Cancel, CoreError, NoProgress, Seed, read_png_color, read_png_gray16};
 use sms_synth::{
-    BilliardsSettings, RecordingSettings, TruthScene, generate_billiards, read_truth, write_recording,
+    BilliardsSettings, ColorCamera, PoseErrors, RecordingSettings, Sensor, SensorModel, TruthScene,
+    generate_billiards, read_truth, write_recording,
 };
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -143,7 +144,9 @@ fn pose_noise_disturbs_the_recorded_poses_only() {
         files(dir.path())
     };
     let exact = record(&tiny());
-    let noisy = record(&RecordingSettings { pose_noise_m: 0.002, pose_noise_rad: 0.004, ..tiny() });
+    let poses = PoseErrors { jitter_m: 0.002, jitter_rad: 0.004, ..PoseErrors::default() };
+    let sensor = SensorModel { poses, ..SensorModel::default() };
+    let noisy = record(&RecordingSettings { sensor, ..tiny() });
     assert_eq!(exact["color/000001.png"], noisy["color/000001.png"]);
     let matrices = |files: &BTreeMap<String, Vec<u8>>| -> Vec<[[f64; 4]; 4]> {
         let json: serde_json::Value = serde_json::from_slice(&files["transforms.json"]).unwrap();
@@ -175,14 +178,67 @@ fn foreign_folders_and_impossible_settings_are_refused() {
     std::fs::write(foreign.path().join("transforms.json"), "{}").unwrap();
     refused(&tiny(), foreign.path());
     let empty = tempfile::tempdir().unwrap();
+    let blurred = ColorCamera { exposure_s: -1.0, ..ColorCamera::default() };
     for settings in [
         RecordingSettings { frames: 0, ..tiny() },
         RecordingSettings { width: 0, ..tiny() },
         RecordingSettings { fov_x: f64::NAN, ..tiny() },
         RecordingSettings { depth_unit_m: 0.0, ..tiny() },
+        RecordingSettings { frame_rate_hz: 0.0, ..tiny() },
+        RecordingSettings { sensor: SensorModel { color: blurred, ..SensorModel::default() }, ..tiny() },
     ] {
         refused(&settings, empty.path());
     }
     assert!(files(empty.path()).is_empty());
     assert!(matches!(read_truth(empty.path()), Err(CoreError::Read { .. })));
+}
+
+/// Pixels and poses of the default recording as they were before sensors had models.
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+#[test]
+fn the_default_recording_keeps_its_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    write_recording(&scene(), &tiny(), dir.path(), &NoProgress, &Cancel::new()).unwrap();
+    let mut hasher = sms_core::Hasher::new();
+    for index in 0..4 {
+        let image = |folder: &str| dir.path().join(format!("{folder}/{index:06}.png"));
+        hasher.bytes(read_png_color(&image("color")).unwrap().data.as_flattened());
+        let depth: Vec<u8> =
+            read_png_gray16(&image("depth")).unwrap().data.iter().flat_map(|z| z.to_le_bytes()).collect();
+        hasher.bytes(&depth);
+    }
+    hasher.bytes(&std::fs::read(dir.path().join("transforms.json")).unwrap());
+    assert_eq!(hasher.finish().0, "eb229b4e6677bd2e4c5237e54adbd729");
+}
+
+#[test]
+fn every_sensor_records_and_a_phone_s_depth_has_its_own_size_and_confidence() {
+    let scene = scene();
+    for sensor in Sensor::ALL {
+        let dir = tempfile::tempdir().unwrap();
+        let settings = RecordingSettings { frames: 3, ..sensor.recording_at(320) };
+        write_recording(&scene, &settings, dir.path(), &NoProgress, &Cancel::new()).unwrap();
+        let text = std::fs::read_to_string(dir.path().join("transforms.json")).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let depth = read_png_gray16(&dir.path().join("depth/000001.png")).unwrap();
+        let color = read_png_color(&dir.path().join("color/000001.png")).unwrap();
+        assert_eq!(color.size(), (320, settings.height), "{sensor:?}");
+        let measured = depth.data.iter().filter(|z| **z > 0).count() as f64 / depth.data.len() as f64;
+        assert!(measured > 0.3, "{sensor:?} measures {measured}");
+        let confidence = &json["frames"][1]["confidence_file_path"];
+        if sensor != Sensor::PhoneLidar {
+            assert_eq!(depth.size(), color.size(), "{sensor:?}");
+            assert!(confidence.is_null() && json["depth_fl_x"].is_null());
+            continue;
+        }
+        assert_eq!(depth.size(), (256, 192));
+        let scaled = json["fl_x"].as_f64().unwrap() * 256.0 / 320.0;
+        assert!((json["depth_fl_x"].as_f64().unwrap() - scaled).abs() < 1e-9);
+        let confidence = read_png_gray16(&dir.path().join(confidence.as_str().unwrap())).unwrap();
+        assert_eq!(confidence.size(), (256, 192));
+        let with = |value: u16| confidence.data.iter().filter(|c| **c == value).count();
+        assert!(with(2) > with(0) && with(0) > 0 && with(0) + with(1) + with(2) == 256 * 192);
+        // Nothing is sure where nothing is measured.
+        assert!(depth.data.iter().zip(&confidence.data).all(|(z, c)| *z > 0 || *c == 0));
+    }
 }
