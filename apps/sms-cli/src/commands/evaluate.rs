@@ -12,15 +12,22 @@ pub(crate) fn run(console: &Console, a: &EvaluateArguments) -> anyhow::Result<()
     for c in &outcome.comparisons {
         console.say(match (outcome.is_truth, c.sphere) {
             (true, Some((center, radius))) => format!(
-                "{:>12} is {}: {}; errors of the centre {}, of the radius {}",
+                "{:>12}{} is {}: {}; errors of the centre {}, of the radius {}",
                 c.entity,
+                if c.is_fixed { " (fixed)" } else { "" },
                 c.description,
                 judge_surface_error(center + radius),
                 length_text(center),
                 length_text(radius)
             ),
-            (true, None) => format!("{:>12} is {}: {}", c.entity, c.description, words(c)),
-            (false, _) => format!("{} ({}): {}", c.known, c.entity, words(c)),
+            (true, None) => {
+                let fixed = if c.is_fixed { " (fixed)" } else { "" };
+                format!("{:>12}{fixed} is {}: {}", c.entity, c.description, words(c))
+            }
+            (false, _) => {
+                let fixed = if c.is_fixed { ", fixed" } else { "" };
+                format!("{} ({}{fixed}): {}", c.known, c.entity, words(c))
+            }
         });
     }
     if let Some((moved, turned, seconds)) = outcome.drift {

@@ -5,7 +5,7 @@ use crate::cli::{self, RunArguments};
 use sms_cli::front::{Console, note};
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, counted, duration_text, length_text};
-use sms_pipeline::{PlanRequest, Run};
+use sms_pipeline::{PlanRequest, Run, StageCondition};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -21,7 +21,7 @@ pub(crate) fn run(console: &Console, a: &RunArguments) -> anyhow::Result<()> {
     let page = match stages(console, a, &root) {
         Ok(page) => page,
         Err(error) => {
-            if !console.json && root.is_dir() {
+            if !console.json && has_result(&Run::new(&root, &console.context)) {
                 note(format_args!(
                     "finished stages are in {}; the same command goes on from there",
                     root.display()
@@ -41,6 +41,11 @@ pub(crate) fn run(console: &Console, a: &RunArguments) -> anyhow::Result<()> {
         console.print_json(&metrics)?;
     }
     Ok(())
+}
+
+/// Returns whether a stage of the run is finished.
+fn has_result(run: &Run<'_>) -> bool {
+    run.status().is_ok_and(|s| s.stages.iter().any(|stage| stage.condition != StageCondition::Absent))
 }
 
 /// Runs the stages; returns the report page.
@@ -100,7 +105,12 @@ fn summary(m: &Metrics) -> Vec<(&'static str, String)> {
         scan += &format!(", {psnr:.1} dB on held-out views");
     }
     lines.push(("scan", scan));
-    let mut scene = count("entities.count", "body", "bodies");
+    let mut scene = match m.number("simulate.moving_bodies").zip(m.number("simulate.fixed_bodies")) {
+        Some((moving, fixed)) if fixed > 0.0 => {
+            format!("{moving} moving and {}", count("simulate.fixed_bodies", "fixed body", "fixed bodies"))
+        }
+        _ => count("simulate.moving_bodies", "moving body", "moving bodies"),
+    };
     if let Some(drift) = length("simulate.drift_m") {
         let seconds = m.number("simulate.seconds_simulated").unwrap_or(0.0);
         scene += &format!("; at rest for {seconds} s, they move at most {drift}");
@@ -131,10 +141,14 @@ mod tests {
         let mut m = Metrics::new();
         m.set("scan.frames", 60)
             .set("masks.objects", 5)
-            .set("entities.count", 5)
+            .set("simulate.moving_bodies", 6)
+            .set("simulate.fixed_bodies", 0)
             .set("simulate.drift_m", 3e-5);
         let parts = |m: &Metrics| summary(m).iter().map(|line| line.0).collect::<Vec<_>>();
         assert_eq!(parts(&m), ["scan", "scene"]);
+        assert!(summary(&m)[1].1.starts_with("6 moving bodies; "));
+        m.set("simulate.fixed_bodies", 11);
+        assert!(summary(&m)[1].1.starts_with("6 moving and 11 fixed bodies; "));
         m.set("plan.predicted_mean", 0.0056).set("execute.objective", 0.0068).set("execute.success", true);
         assert_eq!(parts(&m), ["scan", "scene", "plan", "execution"]);
         assert!(summary(&m)[3].1.contains("6.80 mm"));

@@ -26,12 +26,12 @@ pub(crate) fn run(console: &Console, a: &SampleArguments) -> anyhow::Result<()> 
     console.say(format!("  sms run {folder} --out my-run --preset draft --task {task}"));
     console.say("or stage by stage:");
     console.say(format!("  sms check {folder}"));
-    console.say(format!("  sms scan {folder} --out my-stages --preset draft --holdout 8"));
-    console.say("  sms materialize my-stages");
-    console.say("  sms simulate my-stages");
-    console.say(format!("  sms plan my-stages --task {task}"));
-    console.say("  sms execute my-stages");
-    console.say("  sms evaluate my-stages");
-    console.say("  sms view my-stages");
+    console.say(format!("  sms scan {folder} --out my-run --preset draft --holdout 8"));
+    console.say("  sms materialize my-run");
+    console.say("  sms simulate my-run");
+    console.say(format!("  sms plan my-run --task {task}"));
+    console.say("  sms execute my-run");
+    console.say("  sms evaluate my-run");
+    console.say("  sms view my-run");
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! Bad input gives one clear message that names the file and the cure, and exit code 2.
 
-use crate::common::{copy, recording, sms};
+use crate::common::{CopiedRun, copy, recording, sms};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -321,6 +321,21 @@ fn any_seed_does_reports_only_read_and_damaged_files_are_named() {
         assert!(sms(&["report", path]).status.success());
         fs::write(&file, whole).unwrap();
     }
+}
+
+#[test]
+fn a_refused_run_names_finished_stages_only_if_there_are_some() {
+    let b = Broken::new();
+    fs::remove_file(b.path("depth/000003.png")).unwrap();
+    let (recording, out) = (b.dir.path().join("recording"), b.dir.path().join("run"));
+    let refused = |out: &Path| {
+        let output = sms(&["run", recording.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+        expect_refusal(&output, &["000003.png"]);
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert!(!refused(&out).contains("finished stages"));
+    let finished = CopiedRun::new();
+    assert!(refused(Path::new(&finished.folder())).contains("finished stages"));
 }
 
 #[cfg(not(feature = "rerun"))]

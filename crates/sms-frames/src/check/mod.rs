@@ -204,7 +204,7 @@ fn judge_quality(data: &CheckData<'_>, report: &mut CheckReport) {
             add(
                 "loose_overlap",
                 format!("neighbouring frames differ by {:.1} mm (median) at {middle:.2} m", 1e3 * typical),
-                "the poses or the depth are inaccurate, or depth is not registered to the posed camera",
+                "the scan corrects poses by default if that helps; or register depth to the colour camera",
             );
         }
     }

@@ -7,11 +7,11 @@ use crate::cache::record;
 use crate::origin::current_dir;
 use crate::stages::{Comparison, MetricNames, add_drifts, evaluate, known_models, known_truth};
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, RunFolder, Warnings};
+use sms_core::{InputError, Warnings};
 use sms_entities::load_entities;
 use sms_eval::EvaluateSettings;
 use sms_frames::Sequence;
-use sms_scene::load_scene;
+use sms_scene::{BodyKind, Scene, load_scene};
 use sms_sim::{RapierFactory, RestingDrift, resting_drift};
 use sms_synth::{TruthScene, read_truth};
 use std::path::Path;
@@ -43,7 +43,8 @@ impl Run<'_> {
         let x_wr = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?.x_world_recording;
         let scan = RunSettings::of(&run)?;
         let warnings = Warnings::new();
-        let drifts = contact_drift(&run, &warnings)?;
+        let scene = load_scene(&current_dir(&run, "scene", "materialize")?)?;
+        let drifts = contact_drift(&scene, &warnings);
         self.warn_stale(&run, "scene");
         let (known, truth) = match objects {
             Some(path) => (known_models(path, &x_wr, scan.masks == "files")?, None),
@@ -54,7 +55,9 @@ impl Run<'_> {
         };
         let names = if truth.is_some() { MetricNames::Entity } else { MetricNames::Known };
         let mut metrics = Metrics::new();
-        let comparisons = evaluate(&known, &set.entities, &settings, names, &mut metrics, &warnings)?;
+        let fixed: Vec<&str> =
+            scene.bodies.iter().filter(|b| b.kind == BodyKind::Static).map(|b| b.name.as_str()).collect();
+        let comparisons = evaluate(&known, &set.entities, &fixed, &settings, names, &mut metrics, &warnings)?;
         add_drifts(&comparisons, names, &drifts, &mut metrics);
         if let Some(truth) = &truth {
             add_found(&comparisons, truth, &mut metrics);
@@ -89,9 +92,8 @@ fn add_found(comparisons: &[Comparison], truth: &TruthScene, metrics: &mut Metri
 }
 
 /// Returns the drift of each body when the scene is simulated at rest. Warns if the scene cannot be simulated.
-fn contact_drift(run: &RunFolder, warnings: &Warnings) -> Result<Vec<RestingDrift>, Error> {
-    let scene = load_scene(&current_dir(run, "scene", "materialize")?)?;
-    Ok(resting_drift(&RapierFactory, &scene, REST_S).unwrap_or_else(|error| {
+fn contact_drift(scene: &Scene, warnings: &Warnings) -> Vec<RestingDrift> {
+    resting_drift(&RapierFactory, scene, REST_S).unwrap_or_else(|error| {
         warnings.add(
             "evaluate",
             "not_simulated",
@@ -99,5 +101,5 @@ fn contact_drift(run: &RunFolder, warnings: &Warnings) -> Result<Vec<RestingDrif
             "check the objects in the report",
         );
         Vec::new()
-    }))
+    })
 }

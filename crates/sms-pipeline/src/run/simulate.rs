@@ -5,8 +5,8 @@ use crate::Error;
 use crate::cache::record;
 use crate::stages::drift_text;
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, Warnings, atomic};
-use sms_scene::load_scene;
+use sms_core::{BACKGROUND, InputError, Warnings, atomic};
+use sms_scene::{BodyKind, load_scene};
 use sms_sim::{RapierFactory, RestingDrift, resting_drift};
 
 /// Returns whether a drift is that of a body at rest ([`sms_core::is_at_rest`]).
@@ -29,8 +29,12 @@ impl Run<'_> {
         self.warn_stale(&run, "scene");
         let drifts = resting_drift(&RapierFactory, &scene, seconds)?;
         let worst = |f: fn(&RestingDrift) -> f64| drifts.iter().map(f).fold(0.0, f64::max);
+        // The floor and the environment are no objects.
+        let fixed = scene.bodies.iter().filter(|b| b.kind == BodyKind::Static && b.label != BACKGROUND);
         let mut metrics = Metrics::new();
         metrics.set("simulate.seconds_simulated", seconds);
+        metrics.set("simulate.moving_bodies", drifts.len());
+        metrics.set("simulate.fixed_bodies", fixed.count());
         metrics.set("simulate.drift_m", worst(|d| d.moved_m));
         metrics.set("simulate.turn_rad", worst(|d| d.turned_rad));
         let warnings = Warnings::new();

@@ -3,7 +3,7 @@
 use crate::Error;
 use glamx::{DPose3, DVec3};
 use sms_core::metrics::Metrics;
-use sms_core::{Entity, EntityKind, EntityShape, InputError, MassProperties, Mesh, PointCloud, Warnings};
+use sms_core::{BACKGROUND, Entity, EntityShape, InputError, MassProperties, Mesh, PointCloud, Warnings};
 use sms_eval::{
     EvaluateSettings, KnownSurface, ObjectScores, SolidScores, compare_sphere, entity_solid, evaluate_object,
     known_solid, match_objects, read_known_objects,
@@ -50,6 +50,8 @@ pub struct Comparison {
     pub description: String,
     /// Name of the entity.
     pub entity: String,
+    /// Whether its body is fixed in the scene.
+    pub is_fixed: bool,
     /// Distances between the surfaces.
     pub scores: ObjectScores,
     /// Errors of volume, mass centre and inertia, if both are solids.
@@ -111,29 +113,32 @@ pub fn known_truth(truth: &TruthScene, x_wr: &DPose3) -> Vec<KnownBody> {
     truth.objects.iter().map(carried).collect()
 }
 
-/// Matches the dynamic entities with the known objects and measures each pair. Objects without a match become warnings;
-/// metrics are added to `metrics`.
+/// Matches the entities of objects, moving and fixed, with the known objects and measures each pair. `fixed` are the names
+/// of the fixed bodies of the scene. Objects without a match become warnings; metrics are added to `metrics`.
 ///
 /// # Errors
 /// As [`evaluate_object`].
 pub fn evaluate(
     known: &[KnownBody],
     entities: &[Entity],
+    fixed: &[&str],
     settings: &EvaluateSettings,
     names: MetricNames,
     metrics: &mut Metrics,
     warnings: &Warnings,
 ) -> Result<Vec<Comparison>, Error> {
-    let dynamic: Vec<&Entity> = entities.iter().filter(|e| e.kind == EntityKind::Dynamic).collect();
+    let objects: Vec<&Entity> = entities.iter().filter(|e| e.label != BACKGROUND).collect();
     let mut comparisons = Vec::new();
-    for (object, entity) in known.iter().zip(pairs(known, &dynamic)) {
+    for (object, entity) in known.iter().zip(pairs(known, &objects)) {
         let Some(entity) = entity else {
             let message = format!("`{}` was not reconstructed", object.description);
             warnings.add("evaluate", "not_found", message, "check the masks in the report");
             continue;
         };
         let name = if names == MetricNames::Known { &object.name } else { &entity.name };
-        comparisons.push(compare(name, entity, object, settings, metrics)?);
+        let mut comparison = compare(name, entity, object, settings, metrics)?;
+        comparison.is_fixed = fixed.contains(&entity.name.as_str());
+        comparisons.push(comparison);
     }
     Ok(comparisons)
 }
@@ -159,20 +164,20 @@ pub(crate) fn add_drifts(
 ///
 /// Labels match by name, not by value: masks of the recording are renumbered from 1 when they are read, and labels have
 /// the names of the values in `objects.json`.
-fn pairs<'a>(known: &[KnownBody], dynamic: &[&'a Entity]) -> Vec<Option<&'a Entity>> {
+fn pairs<'a>(known: &[KnownBody], objects: &[&'a Entity]) -> Vec<Option<&'a Entity>> {
     let plain = |name: &str| -> String {
         name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
     };
     let mut given = Vec::new();
     for (k, object) in known.iter().enumerate() {
         let Some(label) = object.label_name.as_deref().map(plain) else { continue };
-        given.extend(dynamic.iter().position(|e| plain(&e.name) == label).map(|f| (k, f)));
+        given.extend(objects.iter().position(|e| plain(&e.name) == label).map(|f| (k, f)));
     }
     let surfaces: Vec<KnownSurface<'_>> = known.iter().map(KnownBody::surface).collect();
-    let found: Vec<KnownSurface<'_>> = dynamic.iter().map(|e| KnownSurface::Mesh(&e.mesh)).collect();
+    let found: Vec<KnownSurface<'_>> = objects.iter().map(|e| KnownSurface::Mesh(&e.mesh)).collect();
     let reach: Vec<f64> = known.iter().map(|k| k.reach_m).collect();
     let matched = match_objects(&surfaces, &found, &given, &reach);
-    matched.into_iter().map(|m| m.map(|f| dynamic[f])).collect()
+    matched.into_iter().map(|m| m.map(|f| objects[f])).collect()
 }
 
 /// Measures one pair; the keys of the metrics contain `name`.
@@ -201,6 +206,7 @@ fn compare(
         known: known.name.clone(),
         description: known.description.clone(),
         entity: entity.name.clone(),
+        is_fixed: false,
         scores,
         solid,
         sphere,
@@ -210,6 +216,7 @@ fn compare(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sms_core::EntityKind;
 
     fn ball(x: f64) -> Mesh {
         Mesh::icosphere(0.03, 2).transformed(&DPose3::from_translation(DVec3::X * x))
@@ -259,5 +266,42 @@ mod tests {
         let unlabelled = [known("a", 0.03, false), known("b", 0.06, false)];
         assert_eq!(names(&unlabelled), [Some("glue_bottle".into()), Some("tray".into())]);
         assert_eq!(names(&[known("far", 1.0, false)]), [None]);
+    }
+
+    #[test]
+    fn fixed_objects_are_compared_too_and_the_environment_is_not() {
+        // Next to the fixed bottle stands a duck that moves; the environment is at the bottle's place.
+        let fixed = |e: Entity| Entity { kind: EntityKind::Static, ..e };
+        let entities = [
+            entity(1, "duck", 0.05),
+            fixed(entity(2, "bottle", 0.001)),
+            fixed(entity(BACKGROUND, "environment", 0.0)),
+        ];
+        let (mut metrics, warnings) = (Metrics::new(), Warnings::new());
+        let found = evaluate(
+            &[known("glue", 0.0, false)],
+            &entities,
+            &["bottle", "environment", "floor"],
+            &EvaluateSettings::default(),
+            MetricNames::Known,
+            &mut metrics,
+            &warnings,
+        )
+        .unwrap();
+        assert_eq!(found.len(), 1);
+        assert_eq!((found[0].entity.as_str(), found[0].is_fixed), ("bottle", true));
+        let median = metrics.number("evaluate.glue.accuracy_median_m").unwrap();
+        assert!(median > 1e-4 && median < 1.1e-3, "{median}");
+        assert!((found[0].solid.unwrap().mass_center_error_m - 0.001).abs() < 1e-6);
+        // A body that only the scene fixed, and one that moves.
+        for (fixed, expected) in [(&["duck"][..], true), (&[], false)] {
+            let settings = EvaluateSettings::default();
+            let known = [known("duck", 0.05, false)];
+            let names = MetricNames::Known;
+            let found =
+                evaluate(&known, &entities[..1], fixed, &settings, names, &mut metrics, &warnings).unwrap();
+            assert_eq!((found[0].entity.as_str(), found[0].is_fixed), ("duck", expected));
+        }
+        assert!(warnings.snapshot().is_empty());
     }
 }
