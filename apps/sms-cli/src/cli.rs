@@ -415,7 +415,7 @@ pub(crate) struct DemoArguments {
     /// Seed of the scene and of all stages.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Folder of the run (default: runs/NAME-SEED).
+    /// Folder of the run (default: runs/NAME-SEED, with --quick runs/NAME-SEED-quick).
     #[arg(long, value_name = "RUN")]
     pub out: Option<PathBuf>,
     /// Use a smaller recording and less search: half a minute for billiards, a minute for landing.

@@ -88,7 +88,7 @@ pub enum EngineName {
     Physx,
     /// PhysX with its default parameters (feature physx).
     PhysxStock,
-    /// MuJoCo (feature mujoco; SMS_MUJOCO is the path of its library).
+    /// MuJoCo (feature mujoco; SMS_MUJOCO is the folder of its library).
     Mujoco,
 }
 
