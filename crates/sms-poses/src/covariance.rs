@@ -8,7 +8,6 @@
 
 use crate::floor::PairForm;
 use crate::linear::{COMMON, Common, Inverse, Row, Six, System};
-use std::collections::BTreeSet;
 
 /// Variances of functions of an estimate.
 pub(crate) struct Covariance<'a> {
@@ -16,6 +15,8 @@ pub(crate) struct Covariance<'a> {
     /// The given poses and the priors of the common values alone.
     pub(crate) prior: &'a System,
     pub(crate) pairs: &'a [(usize, usize)],
+    /// Number of frames that are part of a pair.
+    pub(crate) paired: usize,
     /// The forms of the pairs at the estimate, as in the system.
     pub(crate) forms: &'a [PairForm],
     /// Responses of the estimate to errors of one standard deviation of values that it holds fixed.
@@ -61,8 +62,7 @@ impl Covariance<'_> {
         let shared: f64 = of_frame.iter().map(|u| u * u).sum::<f64>() - squares;
         // The estimate fits its pairs, which makes their gradients smaller: as for a residual variance. The sum over pairs
         // that share a frame can be negative by chance; it is then at least that of independent pairs.
-        let paired: BTreeSet<usize> = self.pairs.iter().flat_map(|&(i, j)| [i, j]).collect();
-        let (pairs, fitted) = (self.pairs.len() as f64, paired.len() as f64);
+        let (pairs, fitted) = (self.pairs.len() as f64, self.paired as f64);
         let free = (pairs - fitted).max(1.0);
         shared.max(squares) * pairs / free
     }
@@ -125,6 +125,7 @@ mod tests {
                 inverse: &inverse,
                 prior: &prior,
                 pairs: &pairs,
+                paired: n,
                 forms: &forms,
                 considered: Vec::new(),
             };

@@ -29,6 +29,13 @@ pub(crate) struct Graph {
     pub(crate) held_out: Vec<(usize, usize)>,
 }
 
+impl Graph {
+    /// Returns the frames that are part of a used pair.
+    pub(crate) fn paired(&self) -> BTreeSet<usize> {
+        self.pairs.iter().flat_map(|&(i, j)| [i, j]).collect()
+    }
+}
+
 /// Overlap of two frames.
 #[derive(Debug, Clone, Copy)]
 struct FrameOverlap {

@@ -2,7 +2,7 @@
 
 use crate::histogram::{Histogram, ResidualStats};
 use crate::pair::PairSums;
-use crate::refine::{BundleAdjustment, arcs};
+use crate::refine::{BundleAdjustment, arcs, settle_brightness};
 use crate::residual::{LinearisationPoint, Phase, Weighing};
 use crate::views::{DirectedFrame, Point, PreparedFrame};
 use glamx::DPose3;
@@ -132,9 +132,7 @@ fn residuals(
     let mut sums: Vec<PairSums> = Vec::new();
     for _ in 0..3 {
         sums = problem.linearise_all(&views, &arcs, points, at, &weighing);
-        for (arc, pair) in arcs.iter_mut().zip(&sums) {
-            arc.brightness = pair.brightness_after(&[0.0; 6], [0.0; 2], arc.brightness);
-        }
+        settle_brightness(&mut arcs, &sums);
     }
     sums.chunks_exact(2)
         .map(|both| {

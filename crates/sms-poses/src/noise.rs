@@ -9,6 +9,7 @@ use crate::views::{DirectedFrame, Point};
 use glamx::{DMat3, DPose3, DVec3};
 use rayon::prelude::*;
 use sms_frames::DepthNoise;
+use std::collections::BTreeMap;
 
 /// Ratio between the limits of two neighbouring ranges of depth.
 const RATIO: f64 = 1.15;
@@ -31,7 +32,7 @@ pub(crate) fn depth_noise(
     let of_pair =
         |&(i, j): &(usize, usize)| differences(&points[i], views[j], &(poses[j].inverse() * poses[i]));
     let all: Vec<Vec<(f64, f64)>> = pairs.par_iter().map(of_pair).collect();
-    let mut ranges: std::collections::BTreeMap<i32, Vec<f64>> = std::collections::BTreeMap::new();
+    let mut ranges: BTreeMap<i32, Vec<f64>> = std::collections::BTreeMap::new();
     for (z, difference) in all.into_iter().flatten() {
         ranges.entry((z.ln() / RATIO.ln()).floor() as i32).or_default().push(difference);
     }

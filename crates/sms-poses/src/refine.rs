@@ -8,6 +8,7 @@ use crate::given::{GivenNoise, GivenPoses, hand_eye_after};
 use crate::graph::{Graph, choose_pairs};
 use crate::histogram::{Histogram, ResidualStats};
 use crate::linear::{COMMON, HAND_EYE, Six, System};
+use crate::noise::depth_noise;
 use crate::pair::{PairSums, ShiftSums};
 use crate::planes::PlaneMap;
 use crate::residual::{Arc, Brightness, LinearisationPoint, Phase, Weighing, linearise};
@@ -17,7 +18,6 @@ use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use sms_core::{Cancel, CoreError, Progress};
 use sms_frames::DepthNoise;
-use std::collections::BTreeSet;
 
 /// The inputs of the refinement, which stay constant during it.
 pub(crate) struct BundleAdjustment<'a> {
@@ -91,6 +91,13 @@ fn weight_of(sigma: f64) -> f64 {
     if sigma > 0.0 { sigma.powi(-2).min(HELD) } else { HELD }
 }
 
+/// Sets gain and offset of each pair to those that fit best, without a motion.
+pub(crate) fn settle_brightness(arcs: &mut [Arc], sums: &[PairSums]) {
+    for (arc, pair) in arcs.iter_mut().zip(sums) {
+        arc.brightness = pair.brightness_after(&[0.0; 6], [0.0; 2], arc.brightness);
+    }
+}
+
 /// Returns δᵢ − δⱼ.
 fn difference(steps: &[Six], i: usize, j: usize) -> Six {
     std::array::from_fn(|a| steps[i][a] - steps[j][a])
@@ -126,7 +133,7 @@ impl<'a> BundleAdjustment<'a> {
 
     /// Returns the frames without a pair; only the prior constrains them.
     pub(crate) fn frames_without_pairs(&self) -> Vec<usize> {
-        let paired: BTreeSet<usize> = self.graph.pairs.iter().flat_map(|&(i, j)| [i, j]).collect();
+        let paired = self.graph.paired();
         (0..self.given.len()).filter(|i| !paired.contains(i)).collect()
     }
 
@@ -155,49 +162,51 @@ impl<'a> BundleAdjustment<'a> {
         GivenPoses { poses: self.given, center_w: self.center_w }
     }
 
+    /// Returns the points of each frame that the refinement compares, with colour that is shifted by `color_shift`.
+    fn points(&self, views: &[DirectedFrame<'_>], level: usize, color_shift: [f64; 2]) -> Vec<Vec<Point>> {
+        let of = |v: &DirectedFrame<'_>| {
+            v.points(level, self.config.point_stride, [0.5, 0.5], color_shift, self.config)
+        };
+        views.par_iter().map(of).collect()
+    }
+
     /// Replaces the normals by those of all frames together.
     fn fuse_normals(&self, estimate: &mut RefinementState) {
-        let points: Vec<Vec<Point>> = self
-            .views
-            .par_iter()
-            .map(|v| v.alone().points(0, self.config.point_stride, [0.5, 0.5], [0.0; 2], self.config))
-            .collect();
+        let alone: Vec<DirectedFrame<'_>> = self.views.iter().map(PreparedFrame::alone).collect();
+        let points = self.points(&alone, 0, [0.0; 2]);
         let cell_m = CELL_SHARE * self.config.point_stride * self.pixel_at_scene_m(0);
         let map = PlaneMap::new(&points, &estimate.poses, self.center_w, cell_m);
         estimate.directions =
             self.views.par_iter().zip(&estimate.poses).map(|(v, x)| map.directions(v, x)).collect();
     }
 
-    /// Returns the frames with the directions of the estimate.
-    fn directed<'b>(&'b self, estimate: &'b RefinementState) -> Vec<DirectedFrame<'b>> {
+    /// Returns the frames with other directions than their own.
+    fn directed<'b>(&'b self, directions: &'b [Vec<Direction>]) -> Vec<DirectedFrame<'b>> {
         let with = |(frame, directions): (&'b PreparedFrame, &'b Vec<Direction>)| DirectedFrame {
             frame,
             directions,
         };
-        self.views.iter().zip(&estimate.directions).map(with).collect()
-    }
-
-    /// Returns the depth noise that the differences between frames show at the estimate.
-    fn depth_noise(&self, estimate: &RefinementState) -> Option<DepthNoise> {
-        let views = self.directed(estimate);
-        let points: Vec<Vec<Point>> = views
-            .par_iter()
-            .map(|v| v.points(0, self.config.point_stride, [0.5, 0.5], [0.0; 2], self.config))
-            .collect();
-        crate::noise::depth_noise(&views, &points, &estimate.poses, &self.graph.pairs)
+        self.views.iter().zip(directions).map(with).collect()
     }
 
     /// Linearises all pairs at the estimate; returns the sums of both directions of each.
     fn pass(&self, level: usize, estimate: &RefinementState) -> Vec<PairSums> {
-        let shift = estimate.color_shift;
-        let views = self.directed(estimate);
-        let points: Vec<Vec<Point>> = views
-            .par_iter()
-            .map(|v| v.points(level, self.config.point_stride, [0.5, 0.5], shift, self.config))
-            .collect();
-        let phase = estimate.phase;
-        let at = LinearisationPoint { level, poses: &estimate.poses, color_shift: shift, phase };
-        self.linearise_all(&views, &estimate.arcs, &points, at, &estimate.weighing)
+        let views = self.directed(&estimate.directions);
+        let points = self.points(&views, level, estimate.color_shift);
+        self.linearise_at(level, &views, &points, estimate)
+    }
+
+    /// As [`Self::pass`], with points that were made before.
+    fn linearise_at(
+        &self,
+        level: usize,
+        views: &[DirectedFrame<'_>],
+        points: &[Vec<Point>],
+        estimate: &RefinementState,
+    ) -> Vec<PairSums> {
+        let &RefinementState { ref poses, color_shift, phase, .. } = estimate;
+        let at = LinearisationPoint { level, poses, color_shift, phase };
+        self.linearise_all(views, &estimate.arcs, points, at, &estimate.weighing)
     }
 
     /// Returns the quadratic form of each pair of frames. Gain and offset are eliminated.
@@ -308,17 +317,18 @@ impl<'a> BundleAdjustment<'a> {
         const PASSES: usize = 3;
         let mut estimate = self.start();
         self.fuse_normals(&mut estimate);
+        let directions = std::mem::take(&mut estimate.directions);
+        let views = self.directed(&directions);
+        let points = self.points(&views, 0, estimate.color_shift);
         let mut sums = Vec::new();
         for _ in 0..PASSES {
-            sums = self.pass(0, &estimate);
-            for (arc, pair) in estimate.arcs.iter_mut().zip(&sums) {
-                arc.brightness = pair.brightness_after(&[0.0; 6], [0.0; 2], arc.brightness);
-            }
+            sums = self.linearise_at(0, &views, &points, &estimate);
+            settle_brightness(&mut estimate.arcs, &sums);
             estimate.weighing = self.weighing_after(&sums, &estimate.weighing);
         }
         let forms = self.forms(&sums);
         let system = self.system(&forms, &estimate, [self.config.prior_color_shift_px > 0.0; 2]);
-        let depth_noise = self.depth_noise(&estimate);
+        let depth_noise = depth_noise(&views, &points, &estimate.poses, &self.graph.pairs);
         let Some((steps, common)) = system.solve() else { return Prospect { gain: 0.0, depth_noise } };
         let decrease = |(&(i, j), form): (&(usize, usize), &PairForm)| {
             -form.value(&difference(&steps, i, j), [common[0], common[1]])
@@ -330,8 +340,7 @@ impl<'a> BundleAdjustment<'a> {
 
     /// Estimates the noise floor of the pairs and the noise of the given poses from the forms at the estimate.
     fn estimate_noise(&self, forms: &[PairForm], estimate: &mut RefinementState, shift_is_free: [bool; 2]) {
-        let paired = estimate.poses.len() - self.frames_without_pairs().len();
-        let unknown = 6 * paired.saturating_sub(1);
+        let unknown = 6 * self.graph.paired().len().saturating_sub(1);
         estimate.floor = PairFloor::fitted(forms, self.arm_m, unknown);
         let floored = estimate.floor.applied_to_all(forms);
         for _ in 0..NOISE_STEPS {
@@ -397,6 +406,9 @@ impl<'a> BundleAdjustment<'a> {
             self.estimate_noise(&forms, &mut estimate, free);
             self.hold_insignificant_shifts(&forms, &mut estimate, &mut free);
         }
+        let views = self.directed(&estimate.directions);
+        let points = self.points(&views, 0, estimate.color_shift);
+        let depth_noise = depth_noise(&views, &points, &estimate.poses, &self.graph.pairs);
         let uncertainty = if levels > 0 { self.uncertainty(&estimate, free) } else { None };
         Ok(Refined {
             poses: self.in_place(&estimate.poses),
@@ -405,7 +417,7 @@ impl<'a> BundleAdjustment<'a> {
             deviations: self.given_poses().lengths(&estimate.poses, &estimate.hand_eye),
             noise: estimate.noise,
             floor: estimate.floor,
-            depth_noise: self.depth_noise(&estimate),
+            depth_noise,
             uncertainty,
             iterations,
         })
@@ -431,7 +443,8 @@ impl<'a> BundleAdjustment<'a> {
             inverse.times(&vec![[0.0; 6]; estimate.poses.len()], &common)
         };
         let considered = (0..2).filter(|&k| !shift_is_free[k]).map(shifted).collect();
-        Some(f(&Covariance { inverse: &inverse, prior: &prior, pairs, forms: &forms, considered }))
+        let paired = self.graph.paired().len();
+        Some(f(&Covariance { inverse: &inverse, prior: &prior, pairs, paired, forms: &forms, considered }))
     }
 
     /// Sets the shift of the colour along x and y to zero, and holds it there, unless it is larger than chance and than the
@@ -464,7 +477,7 @@ impl<'a> BundleAdjustment<'a> {
     fn uncertainty(&self, estimate: &RefinementState, shift_is_free: [bool; 2]) -> Option<SizeUncertainty> {
         let coarse = self.views.first()?.luma.len() - 1;
         let points: Vec<Vec<Point>> = self
-            .directed(estimate)
+            .directed(&estimate.directions)
             .iter()
             .map(|v| v.points(coarse, 1.0, [0.5; 2], [0.0; 2], self.config))
             .collect();

@@ -65,8 +65,7 @@ impl PoseFault {
         if self.has(Self::ColorShift) {
             sequence.frames.iter_mut().for_each(|f| f.color = shifted(&f.color, COLOR_SHIFT_PX));
         }
-        let mut poses: Vec<DPose3> = poses_of(&sequence);
-        poses = self.lasting().applied(&poses, seed);
+        let mut poses: Vec<DPose3> = self.lasting().applied(&poses_of(&sequence), seed);
         if self.has(Self::Independent) {
             let mut rng = seed.derive("independent").rng();
             for x in &mut poses {
@@ -80,6 +79,7 @@ impl PoseFault {
 
 /// Shift of the colour to the right, pixels.
 const COLOR_SHIFT_PX: i64 = 3;
+
 #[cfg(test)]
 mod tests {
     use super::*;

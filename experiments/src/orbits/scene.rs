@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use sms_core::{Aabb, Camera, DepthImage, Intrinsics, LabelMap, Seed};
 use sms_frames::{DepthNoise, Frame, Sequence, normals_from_depth};
 use sms_synth::{
-    AssetBlueprint, CameraModel, DepthCamera, Pattern, Renderer, Texture, TruthFloor, TruthScene,
+    AssetBlueprint, CameraModel, DepthCamera, Pattern, Renderer, Sensor, Texture, TruthFloor, TruthScene,
     cuboid_union, draw_floor,
 };
 
@@ -127,19 +127,9 @@ impl OrbitKind {
     }
 }
 
-/// Noise of a PrimeSense structured-light camera (Kinect v1, Xtion): Khoshelham and Elberink, "Accuracy and Resolution of
-/// Kinect Depth Data for Indoor Mapping Applications" (Sensors 2012): σ = 1.425 mm and steps of 2.85 mm at 1 m, both growing
-/// with the square of the distance, in windows of nine pixels of 640.
+/// The depth camera of an Xtion without missing patches, and with edges as narrow as the default's.
 fn xtion() -> DepthCamera {
-    DepthCamera {
-        sigma_m: 0.0,
-        sigma_per_m: 0.001_425,
-        correlation_px: 18.0,
-        disparity_step_per_m: 0.002_85,
-        baseline_m: 0.075,
-        range_m: [0.5, 5.0],
-        ..DepthCamera::default()
-    }
+    DepthCamera { edge_px: DepthCamera::default().edge_px, missing_share: 0.0, ..Sensor::Xtion.model().depth }
 }
 
 /// A recorded orbit with its truth.

@@ -21,9 +21,9 @@ pub(crate) fn run(console: &Console, a: &DemoArguments) -> anyhow::Result<()> {
     let name = if a.name == DemoName::Landing { "landing" } else { "billiards" };
     let (root, recording) = folders(a, name)?;
     let usual = if a.quick { RecordingSettings::quick() } else { RecordingSettings::default() };
-    let sensor = a.sensor.sensor().recording();
-    let width = if a.quick { usual.width } else { sensor.width };
-    let base = RecordingSettings { frames: usual.frames, ..a.sensor.sensor().recording_at(width) };
+    let sensor = a.sensor.sensor();
+    let base = if a.quick { sensor.recording_at(usual.width) } else { sensor.recording() };
+    let base = RecordingSettings { frames: usual.frames, ..base };
     let settings = console.context.settings.section("recording", base)?;
     record(console, a, &RecordingSettings { seed: Seed(a.seed), ..settings }, &recording)?;
     reconstruct(console, a, &root, &recording)?;

@@ -10,24 +10,21 @@ pub(crate) fn run(console: &Console, a: &EvaluateArguments) -> anyhow::Result<()
     let run = Run::new(&a.run, &console.context);
     let outcome = run.evaluate(a.objects.as_deref())?;
     for c in &outcome.comparisons {
+        let if_fixed = |mark| if c.is_fixed { mark } else { "" };
         console.say(match (outcome.is_truth, c.sphere) {
             (true, Some((center, radius))) => format!(
                 "{:>12}{} is {}: {}; errors of the centre {}, of the radius {}",
                 c.entity,
-                if c.is_fixed { " (fixed)" } else { "" },
+                if_fixed(" (fixed)"),
                 c.description,
                 judge_surface_error(center + radius),
                 length_text(center),
                 length_text(radius)
             ),
             (true, None) => {
-                let fixed = if c.is_fixed { " (fixed)" } else { "" };
-                format!("{:>12}{fixed} is {}: {}", c.entity, c.description, words(c))
+                format!("{:>12}{} is {}: {}", c.entity, if_fixed(" (fixed)"), c.description, words(c))
             }
-            (false, _) => {
-                let fixed = if c.is_fixed { ", fixed" } else { "" };
-                format!("{} ({}{fixed}): {}", c.known, c.entity, words(c))
-            }
+            (false, _) => format!("{} ({}{}): {}", c.known, c.entity, if_fixed(", fixed"), words(c)),
         });
     }
     if let Some((moved, turned, seconds)) = outcome.drift {

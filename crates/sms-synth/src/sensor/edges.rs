@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use sms_core::{DepthImage, Image};
 
 /// Depths that differ by more than this share belong to different surfaces.
-const RELATIVE_JUMP: f32 = 0.02;
+pub(super) const RELATIVE_JUMP: f64 = 0.02;
 
 /// Marks pixels within `band` of a depth discontinuity. Inverse depth is linear over the image of a plane, so its second
 /// difference distinguishes an edge from a slanted surface at any resolution.
@@ -15,7 +15,7 @@ pub(super) fn edge_band(depth: &DepthImage, band: usize) -> Vec<bool> {
         let z = depth.data[y * width + x];
         if z > 0.0 { 1.0 / z } else { 0.0 }
     };
-    let jumps = |a: f32, b: f32, c: f32| (a - 2.0 * b + c).abs() > RELATIVE_JUMP * b.max(1e-3);
+    let jumps = |a: f32, b: f32, c: f32| (a - 2.0 * b + c).abs() > RELATIVE_JUMP as f32 * b.max(1e-3);
     let mut edge = vec![false; width * height];
     edge.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
         for x in 0..width {
@@ -44,7 +44,7 @@ pub(super) fn across_edge(depth: &DepthImage, x: usize, y: usize, band: usize) -
     (1..=band + 1).find_map(|d| {
         [x.checked_sub(d), Some(x + d)].into_iter().flatten().filter(|&u| u < depth.width).find_map(|u| {
             let other = depth[(u, y)];
-            (other > 0.0 && (other - z).abs() > RELATIVE_JUMP * z).then_some(other)
+            (other > 0.0 && (other - z).abs() > RELATIVE_JUMP as f32 * z).then_some(other)
         })
     })
 }

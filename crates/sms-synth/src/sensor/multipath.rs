@@ -1,14 +1,13 @@
 //! Multipath of time-of-flight cameras: light that reaches a surface by way of another one.
 
 use super::depth_camera::DepthView;
+use super::edges::RELATIVE_JUMP;
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{DepthImage, Image};
 
 /// Samples of the image per row, between which the error is interpolated.
 const SAMPLES: usize = 72;
-/// Depths that differ by more than this share belong to different surfaces.
-const RELATIVE_JUMP: f64 = 0.02;
 /// Brightest diffuse surface. `echo` also contains highlights, which send their light to few places.
 const MAX_ALBEDO: f64 = 0.9;
 
