@@ -1,10 +1,9 @@
 //! Recorded colour at more than scan resolution, for textures and rendering.
 
-use crate::images::read_color;
 use crate::resample::{resize_color, target_intrinsics, undistort_color};
 use crate::{ReadOptions, Recording, Sequence};
 use rayon::prelude::*;
-use sms_core::{Cancel, ColorImage, CoreError};
+use sms_core::{Cancel, ColorImage, CoreError, read_color};
 
 /// Reads the recorded colour image of every frame, undistorted, with its long side at most `long_side` pixels; its camera is
 /// the frame's with `intrinsics.scaled_to` its size. `None` if the recording or the image is gone; callers then use the

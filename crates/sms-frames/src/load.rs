@@ -1,12 +1,11 @@
 //! Loading: images are read, undistorted and resampled, normals computed, the world aligned.
 
 use crate::align::align;
-use crate::images::read_color;
 use crate::normals::normals_from_depth;
 use crate::resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
 use crate::{Frame, FramesError, LoadSettings, Recording, Sequence};
 use rayon::prelude::*;
-use sms_core::{Camera, InputError, StageContext};
+use sms_core::{Camera, InputError, StageContext, read_color};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Returns the indices of the recorded frames that `settings` select.
@@ -82,7 +81,7 @@ pub fn load(
 }
 
 fn is_empty(recording: &Recording, index: usize) -> bool {
-    crate::images::read_depth(&recording.frames[index].depth_path)
+    crate::depth_file::read_depth(&recording.frames[index].depth_path)
         .is_ok_and(|d| d.data.iter().all(|&v| v == 0))
 }
 

@@ -1,6 +1,6 @@
 //! Opened recordings, before their images are loaded.
 
-use crate::images;
+use crate::depth_file::read_depth;
 use crate::{Axes, FramesError, Lens, PoseDirection, ReadOptions, formats};
 use glamx::{DPose3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -124,7 +124,7 @@ impl Recording {
     /// When the file is missing, damaged, or holds no depth at all.
     pub fn read_depth_m(&self, index: usize) -> Result<DepthImage, FramesError> {
         let path = &self.frames[index].depth_path;
-        let raw = images::read_depth(path)?;
+        let raw = read_depth(path)?;
         if raw.data.iter().all(|&v| v == 0) {
             let cure =
                 "record or export this frame again, remove it from the recording, or set skip_empty_depth";

@@ -3,8 +3,6 @@
 use crate::canvas::Canvas;
 use crate::{Approach, LandingSite, Sites};
 use glamx::{DVec2, DVec3};
-use image::RgbImage;
-use image::imageops::{FilterType, resize};
 use sms_core::{Camera, ColorImage};
 
 /// Colours of curves, distinguishable by the colour-blind (after Okabe and Ito 2008).
@@ -68,11 +66,7 @@ pub fn resized(image: &ColorImage, camera: &Camera, long_side: usize) -> (ColorI
     let to = |n: usize| ((n as f64 * scale).round() as usize).max(1);
     let (width, height) = (to(image.width), to(image.height));
     let camera = Camera::new(camera.intrinsics.scaled_to(width, height), camera.x_wc);
-    let source = RgbImage::from_fn(image.width as u32, image.height as u32, |x, y| {
-        image::Rgb(image[(x as usize, y as usize)])
-    });
-    let scaled = resize(&source, width as u32, height as u32, FilterType::Triangle);
-    (ColorImage::from_vec(width, height, scaled.pixels().map(|p| p.0).collect()), camera)
+    (image.scaled(width, height), camera)
 }
 
 fn at(camera: &Camera, p_w: DVec3) -> Option<DVec2> {

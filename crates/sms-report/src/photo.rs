@@ -1,9 +1,7 @@
 //! Recorded views: photographs with their cameras and labels.
 
 use crate::html::base64_of;
-use image::ExtendedColorType;
-use image::codecs::jpeg::JpegEncoder;
-use sms_core::{Camera, ColorImage, DepthImage, Image, LabelMap};
+use sms_core::{Camera, ColorImage, DepthImage, Image, LabelMap, jpeg_bytes};
 
 /// Quality of photographs, 1 to 100.
 const PHOTO_QUALITY: u8 = 82;
@@ -25,21 +23,10 @@ pub struct RecordedView {
     pub labels: LabelMap,
 }
 
-/// Encodes a picture as JPEG and returns it as a `data:` address.
+/// Encodes a picture as JPEG and returns it as a `data:` address, empty for an empty picture.
 pub(crate) fn jpeg_address(picture: &ColorImage, quality: u8) -> String {
-    let mut bytes = Vec::new();
-    let (width, height) = (picture.width as u32, picture.height as u32);
-    let done = JpegEncoder::new_with_quality(&mut bytes, quality).encode(
-        picture.data.as_flattened(),
-        width,
-        height,
-        ExtendedColorType::Rgb8,
-    );
-    // The encoder refuses only empty images and sides above 65535 pixels.
-    match done {
-        Ok(()) => format!("data:image/jpeg;base64,{}", base64_of(&bytes)),
-        Err(_) => String::new(),
-    }
+    let bytes = jpeg_bytes(picture, quality);
+    if bytes.is_empty() { String::new() } else { format!("data:image/jpeg;base64,{}", base64_of(&bytes)) }
 }
 
 /// Returns a photograph as a `data:` address.

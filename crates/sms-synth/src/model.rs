@@ -4,10 +4,9 @@ use crate::scene::{Hollow, TruthObject, TruthScene};
 use crate::skin::Skin;
 use crate::texture::{Pattern, Texture};
 use glamx::{DPose3, DQuat, DVec3};
-use image::ImageReader;
 use sms_core::{
     Aabb, ColorImage, CoreError, InputError, MassProperties, Material, Mesh, MeshTexture, StageRng,
-    box_mass_properties, polyhedron_mass_properties,
+    box_mass_properties, polyhedron_mass_properties, read_color,
 };
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -139,20 +138,10 @@ fn read_library(path: &Path) -> Result<ObjMaterial, CoreError> {
                 look.color = [r, g, b].map(|c| (c * 255.0).round().clamp(0.0, 255.0) as u8);
             }
         } else if let Some(name) = line.strip_prefix("map_Kd ") {
-            look.image = Some(read_picture(&path.with_file_name(name.trim()))?);
+            look.image = Some(read_color(&path.with_file_name(name.trim()))?);
         }
     }
     Ok(look)
-}
-
-fn read_picture(path: &Path) -> Result<ColorImage, CoreError> {
-    let damaged = |e: String| InputError::new(e, path, "save the image as JPEG or PNG again");
-    let reader = ImageReader::open(path).map_err(CoreError::read(path))?;
-    let reader = reader.with_guessed_format().map_err(CoreError::read(path))?;
-    let image = reader.decode().map_err(|e| damaged(format!("this image cannot be decoded: {e}")))?.to_rgb8();
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    let data = image.into_raw().chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
-    Ok(ColorImage::from_vec(width, height, data))
 }
 
 /// A scene with the image textures of its objects (parallel to `scene.objects`).

@@ -1,8 +1,5 @@
 //! The picture of a question: the view that shows most of the object, with its box in red.
 
-use image::codecs::jpeg::JpegEncoder;
-use image::imageops::{FilterType, resize};
-use image::{ExtendedColorType, RgbImage};
 use sms_core::{ColorImage, DepthImage, Image};
 use std::path::Path;
 
@@ -104,13 +101,13 @@ pub fn best_view(
 /// more than the scan's frame made of it. Lens correction between the two moves things by a few pixels, which fit
 /// into the box's gap.
 pub fn picture(path: &Path, like: (usize, usize)) -> Option<ColorImage> {
-    let read = image::ImageReader::open(path).ok()?.with_guessed_format().ok()?.decode().ok()?.into_rgb8();
-    let (width, height) = (read.width() as usize, read.height() as usize);
+    let read = sms_core::read_color(path).ok()?;
+    let (width, height) = read.size();
     let (ours, other) = (width as f64 / height.max(1) as f64, like.0 as f64 / like.1.max(1) as f64);
     if (ours / other - 1.0).abs() > 0.02 || width < like.0 {
         return None;
     }
-    Some(ColorImage::from_vec(width, height, read.pixels().map(|p| p.0).collect()))
+    Some(read)
 }
 
 /// Returns the object with `context` sizes of its box around it, at most `max_side` pixels long, its box in red.
@@ -136,20 +133,11 @@ pub fn annotated(
     let max_side = max_side.max(16) as f64;
     let scale =
         if long > max_side { max_side / long } else { (MIN_SIDE_PX.min(max_side) / long).clamp(1.0, 4.0) };
-    let cropped = RgbImage::from_fn(w as u32, h as u32, |x, y| {
-        image::Rgb(color[(left as usize + x as usize, top as usize + y as usize)])
-    });
-    let to = |side: f64| ((side * scale).round() as u32).max(1);
-    let (new_w, new_h) = (to(w), to(h));
-    let resized = if (new_w, new_h) == cropped.dimensions() {
-        cropped
-    } else {
-        resize(&cropped, new_w, new_h, FilterType::Triangle)
-    };
-    let mut out = ColorImage::filled(new_w as usize, new_h as usize, [0; 3]);
-    for (slot, pixel) in out.data.iter_mut().zip(resized.pixels()) {
-        *slot = pixel.0;
-    }
+    let (cropped_w, cropped_h) = (w as usize, h as usize);
+    let rows = color.data.chunks_exact(color.width).skip(top as usize).take(cropped_h);
+    let pixels = rows.flat_map(|row| &row[left as usize..][..cropped_w]).copied().collect();
+    let to = |side: f64| ((side * scale).round() as usize).max(1);
+    let mut out = ColorImage::from_vec(cropped_w, cropped_h, pixels).scaled(to(w), to(h));
     let at = |v: f64, origin: f64| (v - origin) * scale;
     draw_box(
         &mut out,
@@ -172,18 +160,7 @@ fn draw_box(image: &mut ColorImage, [x0, y0, x1, y1]: [f64; 4]) {
 
 /// Encodes the image as JPEG; the same image gives the same bytes.
 pub fn jpeg(image: &ColorImage) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    let encoded = JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).encode(
-        image.data.as_flattened(),
-        image.width as u32,
-        image.height as u32,
-        ExtendedColorType::Rgb8,
-    );
-    // Encoding into memory cannot fail for a valid size; servers refuse an empty picture.
-    if encoded.is_err() {
-        bytes.clear();
-    }
-    bytes
+    sms_core::jpeg_bytes(image, JPEG_QUALITY)
 }
 
 #[cfg(test)]

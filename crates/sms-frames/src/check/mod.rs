@@ -7,13 +7,13 @@ mod report;
 
 pub use report::{CheckReport, Finding, OverlapError, PixelCenterFit, ReadingFit, Severity, UnitFit};
 
-use crate::images::{read_color, read_depth};
+use crate::depth_file::read_depth;
 use crate::load::selected_frames;
 use crate::{FramesError, Notice, Recording};
 use overlap::{DepthSamples, median};
 use rayon::prelude::*;
 use readings::CheckData;
-use sms_core::{Cancel, Image, Progress};
+use sms_core::{Cancel, Image, Progress, read_color};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU64, Ordering};
 

@@ -9,14 +9,14 @@
 //! `depth_fl_x`, `depth_fl_y`, `depth_cx`, `depth_cy` or `depth_same_field_of_view`.
 
 use super::to_opencv;
-use crate::images::{color_size, depth_size};
+use crate::depth_file::depth_size;
 use crate::recording::{Notice, RecordedFrame, Recording, RecordingFormat};
 use crate::rigid::pose_from_rows;
 use crate::{Axes, Distortion, FramesError, Lens, PoseDirection, ReadOptions};
 use glamx::DVec3;
 use rayon::prelude::*;
 use serde::Deserialize;
-use sms_core::{CoreError, InputError, Intrinsics};
+use sms_core::{CoreError, InputError, Intrinsics, read_color_size};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Clone, Default, Deserialize)]
@@ -217,7 +217,7 @@ impl Reader<'_> {
         };
         let depth_path = self.resolve(depth_name);
         let mask_path = frame.mask_path.as_deref().map(|m| self.resolve(m));
-        let color = color_size(&color_path)?;
+        let color = read_color_size(&color_path)?;
         let depth = depth_size(&depth_path)?;
         let keys = FrameCamera { own: &frame.camera, shared: all };
         let color_lens = self.color_lens(&keys, color, &color_path)?;

@@ -5,13 +5,13 @@
 //! time of the depth image, because depth determines the surfaces. Depth is in 1/5000 m.
 
 use super::to_opencv;
+use crate::depth_file::depth_size;
 use crate::formats::nerfstudio::{checked_intrinsics, not_registered};
-use crate::images::{color_size, depth_size};
 use crate::recording::{Notice, RecordedFrame, Recording, RecordingFormat};
 use crate::{Axes, Distortion, FramesError, Lens, PoseDirection, ReadOptions};
 use glamx::{DPose3, DQuat, DVec3};
 use rayon::prelude::*;
-use sms_core::InputError;
+use sms_core::{InputError, read_color_size};
 use std::path::{Path, PathBuf};
 
 /// Resolution of the times, seconds: they have six decimals, and a difference of two is rounded.
@@ -225,7 +225,7 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
     let read: Vec<Result<RecordedFrame, FramesError>> = posed
         .into_par_iter()
         .map(|(time, color_path, depth_path, pose)| {
-            let size = color_size(&color_path)?;
+            let size = read_color_size(&color_path)?;
             let depth = depth_size(&depth_path)?;
             if depth != size && !options.depth_same_field_of_view {
                 let cure = "register depth to colour, or use `--set read.depth_same_field_of_view=true` if both \
