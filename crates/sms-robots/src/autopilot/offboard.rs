@@ -2,10 +2,6 @@
 
 use super::{FlightPhase, Home, TimedFlight};
 use glamx::DVec3;
-use mavlink::dialects::common::{
-    MavFrame, MavMessage, PositionTargetTypemask as Ignored, SET_POSITION_TARGET_LOCAL_NED_DATA,
-};
-use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 use sms_core::{CoreError, atomic};
 use std::fmt::Write;
 use std::path::Path;
@@ -13,6 +9,18 @@ use std::path::Path;
 /// Sender: a companion computer (system 1, component 191) of the autopilot's system.
 const SENDER: [u8; 2] = [1, 191];
 const RECEIVER: [u8; 2] = [1, 1];
+
+/// First byte of a MAVLink 2 frame.
+const MAGIC: u8 = 0xFD;
+/// SET_POSITION_TARGET_LOCAL_NED of the common dialect: number, length, and the seed of its checksum, which stands for
+/// the fields' names and types.
+const MESSAGE_ID: u16 = 84;
+const PAYLOAD_BYTES: u8 = 53;
+const FORMAT_SEED: u8 = 143;
+/// MAV_FRAME_LOCAL_NED.
+const FRAME_LOCAL_NED: u8 = 1;
+/// POSITION_TARGET_TYPEMASK: accelerations (bits 6 to 8) and yaw rate (bit 11).
+const IGNORED: u16 = 0b1001_1100_0000;
 
 /// A set-point in the autopilot's local frame: north, east, down from home.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,7 +67,7 @@ pub fn write_csv(path: &Path, points: &[SetPoint]) -> Result<(), CoreError> {
 }
 
 /// Writes a telemetry log: for each set-point the time in microseconds (eight bytes, big endian), then a MAVLink 2
-/// frame (crate `mavlink`) with the message SET_POSITION_TARGET_LOCAL_NED. Phases are not included.
+/// frame with the message SET_POSITION_TARGET_LOCAL_NED. Phases are not included.
 ///
 /// # Errors
 /// [`CoreError::Write`].
@@ -72,31 +80,35 @@ pub fn write_tlog(path: &Path, points: &[SetPoint]) -> Result<(), CoreError> {
     atomic::write_bytes(path, &bytes)
 }
 
-/// A MAVLink 2 frame without accelerations and yaw rate.
+/// Returns the MAVLink 2 frame of a SET_POSITION_TARGET_LOCAL_NED message without accelerations and yaw rate, unsigned
+/// (<https://mavlink.io/en/guide/serialization.html>). It is the only message written, so a library of the whole
+/// dialect, which takes longer to compile than this crate, only checks it in tests.
 fn frame(point: &SetPoint, sequence: u8) -> Vec<u8> {
-    let ([x, y, z], [vx, vy, vz]) = (point.p_ned.as_vec3().to_array(), point.v_ned.as_vec3().to_array());
-    let message = MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
-        time_boot_ms: (point.time_s * 1e3).round() as u32,
-        x,
-        y,
-        z,
-        vx,
-        vy,
-        vz,
-        yaw: point.heading as f32,
-        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
-        type_mask: Ignored::POSITION_TARGET_TYPEMASK_AX_IGNORE
-            | Ignored::POSITION_TARGET_TYPEMASK_AY_IGNORE
-            | Ignored::POSITION_TARGET_TYPEMASK_AZ_IGNORE
-            | Ignored::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE,
-        target_system: RECEIVER[0],
-        target_component: RECEIVER[1],
-        ..Default::default()
-    });
-    let [system_id, component_id] = SENDER;
-    let mut raw = MAVLinkV2MessageRaw::new();
-    raw.serialize_message(MavHeader { system_id: system_id.into(), component_id, sequence }, &message);
-    raw.raw_bytes().to_vec()
+    let mut payload = Vec::with_capacity(usize::from(PAYLOAD_BYTES));
+    payload.extend(((point.time_s * 1e3).round() as u32).to_le_bytes());
+    let acceleration = DVec3::ZERO;
+    for vector in [point.p_ned, point.v_ned, acceleration] {
+        payload.extend(vector.as_vec3().to_array().into_iter().flat_map(f32::to_le_bytes));
+    }
+    let yaw_rate = 0.0f32;
+    payload.extend([point.heading as f32, yaw_rate].into_iter().flat_map(f32::to_le_bytes));
+    payload.extend(IGNORED.to_le_bytes());
+    payload.extend(RECEIVER);
+    payload.push(FRAME_LOCAL_NED);
+
+    let [id, id_high] = MESSAGE_ID.to_le_bytes();
+    let (no_signature, compatible) = (0, 0);
+    let mut frame = vec![MAGIC, PAYLOAD_BYTES, no_signature, compatible, sequence, SENDER[0], SENDER[1]];
+    frame.extend([id, id_high, 0]);
+    frame.extend(payload);
+    let sum = frame[1..].iter().chain(&[FORMAT_SEED]).fold(u16::MAX, |sum, byte| mcrf4xx(sum, *byte));
+    frame.extend(sum.to_le_bytes());
+    frame
+}
+
+/// Adds a byte to a CRC-16/MCRF4XX checksum: the polynomial x¹⁶ + x¹² + x⁵ + 1, reflected.
+fn mcrf4xx(sum: u16, byte: u8) -> u16 {
+    (0..8).fold(sum ^ u16::from(byte), |sum, _| (sum >> 1) ^ if sum & 1 == 1 { 0x8408 } else { 0 })
 }
 
 #[cfg(test)]
@@ -104,6 +116,7 @@ mod tests {
     use super::*;
     use crate::autopilot::timed;
     use crate::autopilot::timed::tests::flight;
+    use mavlink::dialects::common::MavMessage;
     use mavlink::{MavlinkReader, MavlinkVersion};
 
     /// Lengths of the time stamp before each frame of a log, and of header and checksum of a MAVLink 2 frame.
