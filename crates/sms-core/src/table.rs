@@ -56,23 +56,23 @@ impl Column {
 /// # Errors
 /// [`CoreError::Write`] when the file cannot be written, or when the columns differ in length.
 pub fn write_table<N: AsRef<str>>(path: &Path, columns: &[(N, Column)]) -> Result<(), CoreError> {
-    let bytes = encode(columns).map_err(|e| CoreError::Write {
+    // The writer is compiled here, not in every crate that calls this.
+    let columns: Vec<(&str, &Column)> =
+        columns.iter().map(|(name, column)| (name.as_ref(), column)).collect();
+    let bytes = encode(&columns).map_err(|e| CoreError::Write {
         path: path.to_owned(),
         source: std::io::Error::new(std::io::ErrorKind::InvalidData, e),
     })?;
     atomic::write_bytes(path, &bytes)
 }
 
-fn encode<N: AsRef<str>>(columns: &[(N, Column)]) -> Result<Vec<u8>, ParquetError> {
+fn encode(columns: &[(&str, &Column)]) -> Result<Vec<u8>, ParquetError> {
     let rows = columns.first().map_or(0, |(_, c)| c.len());
     if let Some((name, column)) = columns.iter().find(|(_, c)| c.len() != rows) {
-        let (name, found) = (name.as_ref(), column.len());
-        return Err(ParquetError::General(format!("column `{name}` has {found} rows, not {rows}")));
+        return Err(ParquetError::General(format!("column `{name}` has {} rows, not {rows}", column.len())));
     }
-    let fields = columns
-        .iter()
-        .map(|(name, c)| c.field(name.as_ref()).map(Arc::new))
-        .collect::<Result<Vec<_>, _>>()?;
+    let fields =
+        columns.iter().map(|(name, c)| c.field(name).map(Arc::new)).collect::<Result<Vec<_>, _>>()?;
     let schema = Arc::new(Type::group_type_builder("table").with_fields(fields).build()?);
     // A fixed author keeps the bytes independent of the library's version string.
     let properties = Arc::new(WriterProperties::builder().set_created_by("sms".to_owned()).build());
