@@ -1,4 +1,4 @@
-//! Colour pictures in PNG and JPEG files, and their scaling.
+//! Colour pictures in PNG and JPEG files.
 
 use crate::{ColorImage, CoreError, Image, InputError, read_png_color};
 use jpeg_encoder::{ColorType, Encoder};
@@ -11,30 +11,36 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 
 const PNG_MAGIC: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
 
-fn missing(path: &Path, reason: impl std::fmt::Display) -> InputError {
+/// The error of an image file of a recording that cannot be opened; `kind` is colour or depth.
+pub fn missing_image(kind: &str, path: &Path, reason: impl std::fmt::Display) -> InputError {
     InputError::new(
-        "the colour image cannot be opened",
+        format!("the {kind} image cannot be opened"),
         path,
         "put the file back, or remove this frame from the recording",
     )
     .because(reason)
 }
 
-fn damaged(path: &Path, reason: impl std::fmt::Display) -> InputError {
+/// The error of an image file of a recording that cannot be decoded; `kind` is colour or depth.
+pub fn damaged_image(kind: &str, path: &Path, reason: impl std::fmt::Display) -> InputError {
     InputError::new(
-        "the colour image is damaged or of an unknown format",
+        format!("the {kind} image is damaged or of an unknown format"),
         path,
-        "export or copy this frame again, as PNG or JPEG, or remove it from the recording",
+        "export or copy this frame again, or remove it from the recording",
     )
     .because(reason)
 }
 
+fn damaged(path: &Path, reason: impl std::fmt::Display) -> InputError {
+    damaged_image("colour", path, reason)
+}
+
 /// Opens a file and tells whether its first bytes are those of a PNG.
 fn open(path: &Path) -> Result<(BufReader<File>, bool), InputError> {
-    let mut file = File::open(path).map_err(|e| missing(path, e))?;
+    let mut file = File::open(path).map_err(|e| missing_image("colour", path, e))?;
     let mut magic = [0; PNG_MAGIC.len()];
     let is_png = file.read_exact(&mut magic).is_ok() && magic == PNG_MAGIC;
-    file.rewind().map_err(|e| missing(path, e))?;
+    file.rewind().map_err(|e| missing_image("colour", path, e))?;
     Ok((BufReader::new(file), is_png))
 }
 
@@ -92,29 +98,6 @@ pub fn jpeg_bytes(picture: &ColorImage, quality: u8) -> Vec<u8> {
         }
     }
     bytes
-}
-
-impl ColorImage {
-    /// Scales the picture to another size with a triangle filter (bilinear, widened when the picture shrinks) on the stored
-    /// values.
-    pub fn scaled(&self, width: usize, height: usize) -> Self {
-        let mut out = Self::filled(width, height, [0; 3]);
-        if self.size() == out.size() {
-            return self.clone();
-        }
-        let filter = resize::Type::Triangle;
-        // Refused only where either picture is empty.
-        if let Ok(mut resizer) =
-            resize::new(self.width, self.height, width, height, resize::Pixel::RGB8, filter)
-        {
-            let source: Vec<resize::px::RGB<u8>> = self.data.iter().map(|&p| p.into()).collect();
-            let mut target = vec![resize::px::RGB::default(); width * height];
-            if resizer.resize(&source, &mut target).is_ok() {
-                out.data = target.into_iter().map(Into::into).collect();
-            }
-        }
-        out
-    }
 }
 
 #[cfg(test)]
@@ -192,24 +175,5 @@ mod tests {
         assert!(jpeg_bytes(&Image::filled(70_000, 1, [0; 3]), 80).is_empty());
         let bytes = jpeg_bytes(&ramp(8, 8), 80);
         assert_eq!((&bytes[..3], bytes == jpeg_bytes(&ramp(8, 8), 80)), (&[0xFF, 0xD8, 0xFF][..], true));
-    }
-
-    #[test]
-    fn scaling_keeps_ramps_and_means() {
-        let picture = ramp(40, 30);
-        assert_eq!(picture.scaled(40, 30), picture);
-        let half = picture.scaled(20, 15);
-        for y in 1..14 {
-            for x in 1..19 {
-                // The centre of a pixel of the half lies between two pixels of the whole.
-                let expected = [41.5 + 6.0 * x as f64, 198.0 - 8.0 * y as f64, 91.0 + 2.0 * (x + y) as f64];
-                for (channel, value) in half[(x, y)].into_iter().zip(expected) {
-                    assert!((f64::from(channel) - value).abs() <= 1.0, "({x}, {y}): {channel} {value}");
-                }
-            }
-        }
-        let double = picture.scaled(80, 60);
-        assert!(largest_difference(&double.scaled(40, 30), &picture) <= 2);
-        assert_eq!(Image::from_vec(0, 0, Vec::new()).scaled(2, 2), Image::filled(2, 2, [0; 3]));
     }
 }

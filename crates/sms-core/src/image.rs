@@ -23,6 +23,16 @@ impl<T: Clone> Image<T> {
     pub fn filled(width: usize, height: usize, value: T) -> Self {
         Self { width, height, data: vec![value; width * height] }
     }
+
+    /// Returns the rectangle from `min` to `max`, exclusive, clamped to the image: at least one pixel of an image that has
+    /// any.
+    pub fn cropped(&self, min: (usize, usize), max: (usize, usize)) -> Self {
+        let (x0, y0) = (min.0.min(self.width.saturating_sub(1)), min.1.min(self.height.saturating_sub(1)));
+        let (x1, y1) =
+            (max.0.clamp(x0 + 1, self.width.max(x0 + 1)), max.1.clamp(y0 + 1, self.height.max(y0 + 1)));
+        let rows = (y0..y1).flat_map(|y| self.data[y * self.width..][x0..x1].iter().cloned());
+        Self::from_vec(x1 - x0, y1 - y0, rows.collect())
+    }
 }
 
 impl<T> Image<T> {

@@ -59,7 +59,7 @@ pub use angle::wrapped_angle;
 pub use camera::{Camera, Intrinsics};
 pub use cancel::Cancel;
 pub use cholesky::Cholesky;
-pub use color_io::{jpeg_bytes, read_color, read_color_size};
+pub use color_io::{damaged_image, jpeg_bytes, missing_image, read_color, read_color_size};
 pub use directions::{GOLDEN_ANGLE_RAD, even_directions};
 pub use eigen::symmetric_eigen;
 pub use entity::{Entity, EntityKind, EntityShape, PointCloud};

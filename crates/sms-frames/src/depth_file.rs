@@ -1,33 +1,16 @@
 //! Depth images of recordings: 16-bit PNG.
 
 use crate::FramesError;
-use sms_core::{Image, InputError};
+use sms_core::{Image, InputError, damaged_image, missing_image};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-fn missing(path: &Path, reason: impl std::fmt::Display) -> InputError {
-    InputError::new(
-        "the depth image cannot be opened",
-        path,
-        "put the file back, or remove this frame from the recording",
-    )
-    .because(reason)
-}
-
-fn damaged(path: &Path, reason: impl std::fmt::Display) -> InputError {
-    InputError::new(
-        "the depth image is damaged or of an unknown format",
-        path,
-        "export or copy this frame again, or remove it from the recording",
-    )
-    .because(reason)
-}
-
 /// Reads width and height from the header alone; the file must be a PNG of 16 bits.
 pub(crate) fn depth_size(path: &Path) -> Result<(usize, usize), FramesError> {
-    let file = File::open(path).map_err(|e| missing(path, e))?;
-    let reader = png::Decoder::new(BufReader::new(file)).read_info().map_err(|e| damaged(path, e))?;
+    let file = File::open(path).map_err(|e| missing_image("depth", path, e))?;
+    let reader =
+        png::Decoder::new(BufReader::new(file)).read_info().map_err(|e| damaged_image("depth", path, e))?;
     let info = reader.info();
     if info.bit_depth != png::BitDepth::Sixteen {
         let what = format!("the depth image has {} bits per pixel instead of 16", info.bit_depth as u8);

@@ -159,12 +159,12 @@ mod tests {
             let (mut sequence, truth) = scene(solids, Sensor { frames: 12, ..Sensor::default() }, 5);
             // The images are cropped through the middle of the object.
             for frame in &mut sequence.frames {
-                frame.depth = crop(&frame.depth, width);
-                frame.color = crop(&frame.color, width);
-                frame.normal_c = crop(&frame.normal_c, width);
+                frame.depth = frame.depth.cropped((0, 0), (width, usize::MAX));
+                frame.color = frame.color.cropped((0, 0), (width, usize::MAX));
+                frame.normal_c = frame.normal_c.cropped((0, 0), (width, usize::MAX));
                 frame.camera.intrinsics.width = width;
             }
-            let maps: Vec<_> = truth.iter().map(|m| crop(m, width)).collect();
+            let maps: Vec<_> = truth.iter().map(|m| m.cropped((0, 0), (width, usize::MAX))).collect();
             let none = some_labels(&maps, &[]);
             let config = GeometryConfig::default();
             add_unknown(&none, &sequence, &config, &NoProgress, &Cancel::new()).unwrap().objects.len()
@@ -175,11 +175,6 @@ mod tests {
         assert_eq!(unknown(&[wall, board], 320), 0);
         assert_eq!(unknown(&[thing(0.0)], 320), 1);
         assert_eq!(unknown(&[thing(0.0)], 160), 0);
-    }
-
-    fn crop<T: Copy>(image: &sms_core::Image<T>, width: usize) -> sms_core::Image<T> {
-        let rows = image.data.chunks(image.width).flat_map(|row| row[..width].to_vec());
-        sms_core::Image::from_vec(width, image.height, rows.collect())
     }
 
     #[test]

@@ -4,6 +4,7 @@ use crate::canvas::Canvas;
 use crate::{Approach, LandingSite, Sites};
 use glamx::{DVec2, DVec3};
 use sms_core::{Camera, ColorImage};
+use sms_frames::resize_color;
 
 /// Colours of curves, distinguishable by the colour-blind (after Okabe and Ito 2008).
 const COLORS: [[u8; 3]; 9] = [
@@ -66,7 +67,7 @@ pub fn resized(image: &ColorImage, camera: &Camera, long_side: usize) -> (ColorI
     let to = |n: usize| ((n as f64 * scale).round() as usize).max(1);
     let (width, height) = (to(image.width), to(image.height));
     let camera = Camera::new(camera.intrinsics.scaled_to(width, height), camera.x_wc);
-    (image.scaled(width, height), camera)
+    (resize_color(image, width, height), camera)
 }
 
 fn at(camera: &Camera, p_w: DVec3) -> Option<DVec2> {

@@ -4,7 +4,7 @@ use crate::contour::{outlines, path_data};
 use crate::html::{PHOTO_ID, rgb};
 use crate::input::ReportInput;
 use crate::name_text::{half_width, inside, lowest};
-use crate::photo::{RecordedView, crop, photo_address};
+use crate::photo::{RecordedView, photo_address};
 use sms_core::{BACKGROUND, ColorImage, LabelMap, counted, escape_xml};
 use sms_frames::resize_color;
 use std::fmt::Write;
@@ -207,7 +207,7 @@ fn best_picture(views: &[RecordedView], label: u16) -> Option<ColorImage> {
     let half = (0.5 + OBJECT_MARGIN) * w.max(h) * scale;
     let (x, y) = ((e.min.0 as f64 + 0.5 * w) * scale, (e.min.1 as f64 + 0.5 * h) * scale);
     let low = |c: f64| (c - half).max(0.0) as usize;
-    let part = crop(&view.photo, (low(x), low(y)), ((x + half) as usize, (y + half) as usize));
+    let part = view.photo.cropped((low(x), low(y)), ((x + half) as usize, (y + half) as usize));
     let longest = part.width.max(part.height);
     let side = |n: usize| (n * OBJECT_SIDE / longest).max(1);
     let (w, h) = (side(part.width), side(part.height));

@@ -1,7 +1,7 @@
 //! Recorded views: photographs with their cameras and labels.
 
 use crate::html::base64_of;
-use sms_core::{Camera, ColorImage, DepthImage, Image, LabelMap, jpeg_bytes};
+use sms_core::{Camera, ColorImage, DepthImage, LabelMap, jpeg_bytes};
 
 /// Quality of photographs, 1 to 100.
 const PHOTO_QUALITY: u8 = 82;
@@ -34,25 +34,17 @@ pub(crate) fn photo_address(photo: &ColorImage) -> String {
     jpeg_address(photo, PHOTO_QUALITY)
 }
 
-/// Cuts a rectangle out of a picture, clamped to it. Returns at least one pixel of a picture that has any.
-pub(crate) fn crop(picture: &ColorImage, min: (usize, usize), max: (usize, usize)) -> ColorImage {
-    let (x0, y0) = (min.0.min(picture.width.saturating_sub(1)), min.1.min(picture.height.saturating_sub(1)));
-    let (x1, y1) =
-        (max.0.clamp(x0 + 1, picture.width.max(x0 + 1)), max.1.clamp(y0 + 1, picture.height.max(y0 + 1)));
-    let rows = (y0..y1).flat_map(|y| picture.data[y * picture.width..][x0..x1].iter().copied());
-    Image::from_vec(x1 - x0, y1 - y0, rows.collect())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sms_core::Image;
 
     #[test]
     fn pictures_are_cut_and_encoded() {
         let picture = Image::from_vec(4, 3, (0..12u8).map(|v| [v, 0, 0]).collect());
-        let part = crop(&picture, (1, 1), (3, 9));
+        let part = picture.cropped((1, 1), (3, 9));
         assert_eq!((part.size(), part.data[0], part.data[3]), ((2, 2), [5, 0, 0], [10, 0, 0]));
-        assert_eq!(crop(&picture, (9, 9), (9, 9)).size(), (1, 1));
+        assert_eq!(picture.cropped((9, 9), (9, 9)).size(), (1, 1));
         assert!(jpeg_address(&picture, 80).starts_with("data:image/jpeg;base64,/9j/"));
         assert_eq!(jpeg_address(&Image::from_vec(0, 0, Vec::new()), 80), "");
     }

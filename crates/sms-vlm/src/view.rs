@@ -1,6 +1,7 @@
 //! The picture of a question: the view that shows most of the object, with its box in red.
 
 use sms_core::{ColorImage, DepthImage, Image};
+use sms_frames::resize_color;
 use std::path::Path;
 
 /// Least visible area of an object.
@@ -133,11 +134,9 @@ pub fn annotated(
     let max_side = max_side.max(16) as f64;
     let scale =
         if long > max_side { max_side / long } else { (MIN_SIDE_PX.min(max_side) / long).clamp(1.0, 4.0) };
-    let (cropped_w, cropped_h) = (w as usize, h as usize);
-    let rows = color.data.chunks_exact(color.width).skip(top as usize).take(cropped_h);
-    let pixels = rows.flat_map(|row| &row[left as usize..][..cropped_w]).copied().collect();
+    let part = color.cropped((left as usize, top as usize), (right as usize, bottom as usize));
     let to = |side: f64| ((side * scale).round() as usize).max(1);
-    let mut out = ColorImage::from_vec(cropped_w, cropped_h, pixels).scaled(to(w), to(h));
+    let mut out = resize_color(&part, to(w), to(h));
     let at = |v: f64, origin: f64| (v - origin) * scale;
     draw_box(
         &mut out,

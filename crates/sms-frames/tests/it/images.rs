@@ -210,6 +210,30 @@ fn colour_keeps_constants_and_ramps_and_does_not_alias() {
 }
 
 #[test]
+fn colour_ramps_scale_in_both_directions() {
+    let pixel = |i: usize| {
+        let (x, y) = (i % 40, i / 40);
+        [(40 + 3 * x) as u8, (200 - 4 * y) as u8, (90 + x + y) as u8]
+    };
+    let picture = Image::from_vec(40, 30, (0..40 * 30).map(pixel).collect());
+    assert_eq!(resize_color(&picture, 40, 30), picture);
+    let half = resize_color(&picture, 20, 15);
+    for y in 1..14 {
+        for x in 1..19 {
+            // The centre of a pixel of the half lies between two pixels of the whole.
+            let expected = [41.5 + 6.0 * x as f64, 198.0 - 8.0 * y as f64, 91.0 + 2.0 * (x + y) as f64];
+            for (channel, value) in half[(x, y)].into_iter().zip(expected) {
+                assert!((f64::from(channel) - value).abs() <= 1.0, "({x}, {y}): {channel} {value}");
+            }
+        }
+    }
+    let again = resize_color(&resize_color(&picture, 80, 60), 40, 30);
+    let pairs = again.data.as_flattened().iter().zip(picture.data.as_flattened());
+    assert!(pairs.map(|(a, b)| a.abs_diff(*b)).max().unwrap() <= 2);
+    assert_eq!(resize_color(&Image::from_vec(0, 0, Vec::new()), 2, 2), Image::filled(2, 2, [0; 3]));
+}
+
+#[test]
 fn distortion_is_undone_in_colour_and_depth() {
     let k = Intrinsics { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 81.0, cy: 59.0 };
     let lens = Lens { intrinsics: k, distortion: Distortion::from_opencv([-0.25, 0.08, 0.002, -0.001, 0.0]) };
