@@ -55,9 +55,6 @@ pub struct PosesConfig {
     /// Radius of the window of the normals of single frames, pixels at loaded size. They tell the side of a surface, and its
     /// direction where it is not flat.
     pub normal_radius_px: usize,
-    /// Distance from depth edges within which depth is not compared in the end, except on flat surfaces, pixels at loaded size:
-    /// points there may be compared with another surface.
-    pub edge_px: usize,
     /// Whether depth is compared.
     pub use_depth: bool,
     /// Whether colour is compared.
@@ -87,7 +84,6 @@ impl Default for PosesConfig {
             prior_color_shift_px: 2.0,
             independent_share: 0.1,
             normal_radius_px: 3,
-            edge_px: 2,
             use_depth: true,
             use_color: true,
             finest_long_side: 320,
@@ -117,7 +113,6 @@ impl PosesConfig {
         r.within("prior_color_shift_px", self.prior_color_shift_px, 0.0, 100.0)?;
         r.within("independent_share", self.independent_share, 1e-6, 1.0)?;
         r.count("normal_radius_px", self.normal_radius_px, 1, 64)?;
-        r.count("edge_px", self.edge_px, 0, 64)?;
         r.count("finest_long_side", self.finest_long_side, 16, 16_384)?;
         r.count("iterations.len()", self.iterations.len(), 1, 8)?;
         for (level, &count) in self.iterations.iter().enumerate() {

@@ -21,6 +21,11 @@ use sms_core::Intrinsics;
 /// Least cosine between a ray and a normal. Points that are seen more obliquely are hidden, or as good as.
 const LEAST_INCIDENCE: f64 = 0.2;
 
+/// Least cosine between the normals of two points that are compared near the solution. At edges, points are compared with another
+/// surface. The mean of both normals is off by half of their angle; of its information, the share (1 − cos) / 2 then
+/// falls on directions that no surface resists: at most a twentieth.
+const LEAST_ALIGNED: f64 = 0.9;
+
 /// A residual and its gradient with respect to the mapped point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LinearResidual {
@@ -138,8 +143,6 @@ pub(crate) struct Meeting {
     pub(crate) sigma_z_m: f64,
     /// Whether both surfaces have a direction, and look to the same side.
     pub(crate) faces: bool,
-    /// See [`crate::views::DepthSample`].
-    pub(crate) at_edge: bool,
     /// See [`crate::views::Direction`].
     pub(crate) is_flat: bool,
 }
@@ -167,7 +170,6 @@ pub(crate) fn meeting(p: DVec3, n_p: DVec3, view: DirectedFrame<'_>, gate_m: f64
         n,
         sigma_z_m: measured.sigma_z_m.into(),
         faces: has_plane && n.dot(n_p) > LEAST_COSINE,
-        at_edge: measured.at_edge,
         is_flat: direction.is_flat,
     })
 }
@@ -193,9 +195,8 @@ pub(crate) fn linearise(
         let p = turn * point.p_c + x_ji.translation;
         let n_i = turn * point.n_c;
         let Some(met) = meeting(p, n_i, view_j, weighing.gate_m) else { continue };
-        let is_compared =
-            phase == Phase::Approach || (point.is_flat && met.is_flat) || !(point.at_edge || met.at_edge);
-        if config.use_depth && met.faces && is_compared {
+        let is_one_surface = phase == Phase::Approach || met.n.dot(n_i) >= LEAST_ALIGNED;
+        if config.use_depth && met.faces && is_one_surface {
             // The mean of both normals: two points of a curved surface then have no residual (Rusinkiewicz 2019).
             let n = (met.n + n_i).normalize();
             let q = met.q;

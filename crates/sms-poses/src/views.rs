@@ -14,8 +14,6 @@ pub(crate) struct DepthSample {
     /// Standard deviation of the depth, metres, at the mean depth of the neighbourhood. A weight that followed the measured
     /// depth would prefer points that seem near: by 4σ²/z.
     pub(crate) sigma_z_m: f32,
-    /// Whether a depth edge is near, where a point may be compared with another surface.
-    pub(crate) at_edge: bool,
 }
 
 /// Surface direction at one pixel in the camera; `n` is zero without a direction.
@@ -56,8 +54,6 @@ pub(crate) struct Point {
     pub(crate) n_c: DVec3,
     /// Whether the surroundings are flat within their noise.
     pub(crate) is_flat: bool,
-    /// Whether a depth edge is near.
-    pub(crate) at_edge: bool,
     /// Standard deviation of the position along the normal, metres.
     pub(crate) sigma_m: f64,
     /// Brightness at the level.
@@ -86,7 +82,6 @@ impl PreparedFrame {
         let mut depth: Vec<DepthSample> = frame.depth.data.iter().map(sample).collect();
         let directions: Vec<Direction> = normals.data.iter().map(direction).collect();
         set_sigmas(&mut depth, k, config);
-        mark_edges(&mut depth, &directions, k, config);
         let mut finest = luma(&frame.color);
         for _ in 0..halvings {
             finest = half(&finest);
@@ -160,7 +155,6 @@ impl DirectedFrame<'_> {
                     luma: sampled.map_or(0.0, |s| s.0),
                     luma_by_p: DVec3::new(slope[0], slope[1], -(slope[0] * p_c.x + slope[1] * p_c.y) / z),
                     pixel_m,
-                    at_edge: s.at_edge,
                     textured: sampled.is_some_and(|s| s.1.hypot(s.2) >= config.min_gradient),
                 });
             }
@@ -199,36 +193,6 @@ fn set_sigmas(all: &mut [DepthSample], k: &Intrinsics, config: &PosesConfig) {
     };
     let sigmas: Vec<f32> = (0..all.len()).map(|i| if all[i].z > 0.0 { sigma(i) } else { 0.0 }).collect();
     all.iter_mut().zip(sigmas).for_each(|(s, sigma)| s.sigma_z_m = sigma);
-}
-
-/// Marks the measurements beside depth edges: those with a neighbour within [`PosesConfig::edge_px`] off their plane by
-/// more than noise, and those without a plane.
-fn mark_edges(all: &mut [DepthSample], directions: &[Direction], k: &Intrinsics, config: &PosesConfig) {
-    /// Deviations from a plane beyond this many standard deviations are edges.
-    const EDGE_SIGMA: f64 = 6.0;
-    let (w, h) = (k.width as i64, k.height as i64);
-    let reach = config.edge_px as i64;
-    let is_edge = |x: i64, y: i64, z: f64, n: DVec3| {
-        let p = pixel_point(k, x, y, z);
-        let most = EDGE_SIGMA * config.noise.sigma_m(z);
-        (1..=reach).any(|d| {
-            [(d, 0), (-d, 0), (0, d), (0, -d), (d, d), (-d, d), (d, -d), (-d, -d)].iter().any(|(dx, dy)| {
-                let (u, v) = (x + dx, y + dy);
-                if u < 0 || v < 0 || u >= w || v >= h {
-                    return false;
-                }
-                let other = f64::from(all[(v * w + u) as usize].z);
-                other > 0.0 && n.dot(pixel_point(k, u, v, other) - p).abs() > most
-            })
-        })
-    };
-    let marked = |(i, (own, direction)): (usize, (&DepthSample, &Direction))| {
-        let (x, y) = ((i % k.width) as i64, (i / k.width) as i64);
-        let n = Vec3::from(direction.n).as_dvec3();
-        own.z > 0.0 && (n == DVec3::ZERO || is_edge(x, y, own.z.into(), n))
-    };
-    let marks: Vec<bool> = all.iter().zip(directions).enumerate().map(marked).collect();
-    all.iter_mut().zip(marks).for_each(|(s, at_edge)| s.at_edge = at_edge);
 }
 
 /// Returns the point at the centre of a pixel with depth `z`, in the camera.
