@@ -15,6 +15,7 @@ use crate::commands::robust::RobustArguments;
 use crate::commands::scan::ScanStudyArguments;
 use crate::commands::scenes::ScenesArguments;
 use crate::commands::score::ScoreArguments;
+use crate::commands::tracking::TrackingArguments;
 use clap::{Parser, Subcommand};
 use sms_cli::front::Common;
 
@@ -45,6 +46,8 @@ pub(crate) enum Experiment {
     Optimisers(OptimisersArguments),
     /// Refine the poses of generated orbits with faults of trackers and cameras: errors of scale, and of a box's extents.
     Orbits(OrbitsArguments),
+    /// Estimate the camera poses of recordings from their images alone, and compare them with the recorded or true ones.
+    Tracking(TrackingArguments),
     /// Find and reconstruct objects in recordings with the errors of real sensors: billiards scenes and stacks with each of five
     /// sensors.
     RealLike(RealLikeArguments),

@@ -59,6 +59,7 @@ mod stacked;
 mod steps;
 mod table;
 mod timer;
+mod tracking;
 mod trainer;
 mod true_worlds;
 #[path = "../../crates/sms-gaussians/benches/scene/wall.rs"]
@@ -119,5 +120,8 @@ pub use solvability::{Solvability, SolvabilityBench, run_solvability};
 pub use stacked::Structure;
 pub use steps::{STEP_GAUSSIANS, fixed_step_cpu_ms, step_shares};
 pub use table::{FigureTarget, add_means, table, targets};
+pub use tracking::{
+    TrackedKind, TrackingRow, track_generated, track_recording, tracking_metrics, tracking_table,
+};
 pub use trainer::TrainerMaker;
 pub use true_worlds::TrueWorlds;

@@ -40,7 +40,7 @@ pub use check::{CheckReport, Finding, OverlapError, PixelCenterFit, ReadingFit, 
 pub use colors::recorded_colors;
 pub use floor::{FloorAt, floor_at};
 pub use lens::{Distortion, Lens};
-pub use load::load;
+pub use load::{load, load_frame};
 pub use normals::normals_from_depth;
 pub use options::{Align, Axes, DepthNoise, LoadSettings, PoseDirection, ReadOptions};
 pub use recording::{Notice, RecordedFrame, Recording, RecordingFormat};

@@ -45,15 +45,7 @@ pub fn load(
             let frame = load_frame(recording, i, settings);
             let n = done.fetch_add(1, Ordering::Relaxed) + 1;
             progress.update(n, &format!("frame {i}"));
-            match frame {
-                Ok(frame) => Ok(Some(frame)),
-                Err(FramesError::Input(_))
-                    if recording.options.skip_empty_depth && is_empty(recording, i) =>
-                {
-                    Ok(None)
-                }
-                Err(error) => Err(error),
-            }
+            frame
         })
         .collect();
     let mut frames: Vec<Frame> = Vec::with_capacity(selected.len());
@@ -85,8 +77,25 @@ fn is_empty(recording: &Recording, index: usize) -> bool {
         .is_ok_and(|d| d.data.iter().all(|&v| v == 0))
 }
 
-/// Loads a frame whose camera is still in the recording's world.
-fn load_frame(recording: &Recording, index: usize, settings: &LoadSettings) -> Result<Frame, FramesError> {
+/// Loads the frame with this index in the recording, at scan resolution; its pose is in the recording's world. `None` for a
+/// frame without any depth, if the options of the recording skip these.
+///
+/// # Errors
+/// [`sms_core::InputError`] naming the file that is missing, damaged or empty.
+pub fn load_frame(
+    recording: &Recording,
+    index: usize,
+    settings: &LoadSettings,
+) -> Result<Option<Frame>, FramesError> {
+    match read_frame(recording, index, settings) {
+        Err(FramesError::Input(_)) if recording.options.skip_empty_depth && is_empty(recording, index) => {
+            Ok(None)
+        }
+        frame => frame.map(Some),
+    }
+}
+
+fn read_frame(recording: &Recording, index: usize, settings: &LoadSettings) -> Result<Frame, FramesError> {
     let recorded = &recording.frames[index];
     let intrinsics = target_intrinsics(&recorded.color_lens, settings.long_side);
     let native = recording.read_depth_m(index)?;

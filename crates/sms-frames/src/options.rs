@@ -41,6 +41,8 @@ pub struct ReadOptions {
     /// Direction of the pose matrices. By default the key `pose_convention`, else camera-to-world.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub poses: Option<PoseDirection>,
+    /// Whether poses that the recording holds are ignored, because they are estimated.
+    pub ignore_poses: bool,
     /// Colour intrinsics fx, fy, cx, cy in pixels of the colour images, in place of the recording's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub intrinsics: Option<[f64; 4]>,
@@ -69,6 +71,7 @@ impl Default for ReadOptions {
             depth_unit_m: None,
             axes: None,
             poses: None,
+            ignore_poses: false,
             intrinsics: None,
             distortion: None,
             depth_same_field_of_view: false,

@@ -74,6 +74,8 @@ pub struct Recording {
     pub axes: Axes,
     /// Direction the pose matrices were read with.
     pub poses: PoseDirection,
+    /// Whether the frames have poses. Without, [`RecordedFrame::x_rc`] is the identity.
+    pub has_poses: bool,
     /// Centre of pixel (0, 0) that the recorded intrinsics were read with.
     pub pixel_center: f64,
     /// The up direction of the recording's world, if the recording states it.
@@ -87,8 +89,8 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Opens the recording in `dir`; `transforms.json` makes it a nerfstudio one, `rgb.txt`, `depth.txt` and
-    /// `groundtruth.txt` a TUM RGB-D one. Checks that every file exists and reads every image header, so that faults
+    /// Opens the recording in `dir`; `transforms.json` makes it a nerfstudio one, `rgb.txt` and `depth.txt` (and
+    /// `groundtruth.txt` with its poses) a TUM RGB-D one. Checks that every file exists and reads every image header, so that faults
     /// are found before any long work.
     ///
     /// # Errors
@@ -101,8 +103,7 @@ impl Recording {
             return Self::open(parent.unwrap_or(Path::new(".")), options);
         }
         if !dir.is_dir() {
-            let cure =
-                "give the folder that holds transforms.json, or rgb.txt, depth.txt and groundtruth.txt";
+            let cure = "give the folder that holds transforms.json, or rgb.txt and depth.txt";
             return Err(InputError::new("this recording folder does not exist", dir, cure).into());
         }
         if dir.join("transforms.json").is_file() {
@@ -111,8 +112,8 @@ impl Recording {
             formats::tum::open(dir, options)
         } else {
             let what = "this folder does not hold a recording of a known format";
-            let cure = "it must hold transforms.json (nerfstudio, with depth_file_path), or rgb.txt, depth.txt \
-                        and groundtruth.txt (TUM RGB-D)";
+            let cure = "it must hold transforms.json (nerfstudio, with depth_file_path), or rgb.txt and \
+                        depth.txt (TUM RGB-D)";
             Err(InputError::new(what, dir, cure).into())
         }
     }
@@ -145,6 +146,18 @@ impl Recording {
             return Err(InputError::new(what, path, cure).into());
         }
         Ok(depth)
+    }
+
+    /// Returns the recording with these poses in place of its own, in a world of theirs: `x_rc` of each frame. Frames without a
+    /// pose are left out.
+    pub fn with_poses(mut self, x_rc: &[Option<DPose3>]) -> Self {
+        let posed = |(frame, x_rc): (RecordedFrame, &Option<DPose3>)| {
+            x_rc.map(|x_rc| RecordedFrame { x_rc, pose_rounding: 0.0, ..frame })
+        };
+        self.frames = self.frames.into_iter().zip(x_rc).filter_map(posed).collect();
+        (self.axes, self.poses, self.has_poses) = (Axes::Opencv, PoseDirection::CameraToWorld, true);
+        (self.world_up_r, self.world_is_aligned) = (None, false);
+        self
     }
 
     /// The error for a recording without any depth.

@@ -16,6 +16,9 @@ pub enum PosesMode {
     Given,
     /// Refined poses are used whenever they could be computed.
     Refine,
+    /// Given poses are ignored: all are estimated from the images ([`crate::track_cameras`]), and then refined as with
+    /// [`Self::Auto`].
+    Estimate,
 }
 
 /// Settings of the refinement. Lengths in metres, angles in radians, colours in 8-bit levels, pixels at loaded size
@@ -65,6 +68,13 @@ pub struct PosesConfig {
     pub iterations: Vec<usize>,
     /// Distance between compared points, pixels of the level.
     pub point_stride: f64,
+}
+
+impl PosesMode {
+    /// Returns whether refined poses are used only if they are better.
+    pub(crate) fn is_judged(self) -> bool {
+        matches!(self, Self::Auto | Self::Estimate)
+    }
 }
 
 impl Default for PosesConfig {

@@ -46,7 +46,7 @@ struct FrameOverlap {
 
 /// Chooses pairs by overlap: for each frame the best partners from a similar side, some with a more different
 /// direction, and the next best of both kinds as held-out pairs.
-pub(crate) fn choose_pairs(views: &[PreparedFrame], x_wc: &[DPose3], config: &PosesConfig) -> Graph {
+pub(crate) fn choose_pairs(views: &[&PreparedFrame], x_wc: &[DPose3], config: &PosesConfig) -> Graph {
     let samples: Vec<Vec<Point>> = views.iter().map(|v| sampled_points(v, config)).collect();
     let overlaps: Vec<Vec<FrameOverlap>> = (0..views.len())
         .into_par_iter()
@@ -100,7 +100,7 @@ fn overlap(
     j: usize,
     points_i: &[Point],
     points_j: &[Point],
-    views: &[PreparedFrame],
+    views: &[&PreparedFrame],
     x_wc: &[DPose3],
 ) -> Option<FrameOverlap> {
     let axis = |k: usize| x_wc[k].rotation * glamx::DVec3::Z;

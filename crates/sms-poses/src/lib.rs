@@ -50,6 +50,7 @@ mod judge;
 mod linear;
 mod luma;
 mod noise;
+mod odometry;
 mod pair;
 mod planes;
 mod refine;
@@ -61,6 +62,7 @@ mod views;
 pub use align::align_rigidly;
 pub use config::{PosesConfig, PosesMode};
 pub use judge::{Consistency, Gain, Judgement};
+pub use odometry::{Trajectory, track_cameras};
 pub use report::{GivenSigma, HandEye, PoseCorrection, PoseReport, PoseVerdict};
 pub use size::{ExtentUncertainty, SizeUncertainty};
 
@@ -111,7 +113,7 @@ pub fn refine_poses(
         );
         return keep(PoseVerdict::NotPossible);
     }
-    let prospect = (config.mode == PosesMode::Auto).then(|| problem.prospect());
+    let prospect = config.mode.is_judged().then(|| problem.prospect());
     if prospect.as_ref().is_some_and(|p| p.gain < LEAST_PROSPECT) {
         let report = PoseReport {
             verdict: PoseVerdict::GivenAreAsGood,
@@ -163,7 +165,7 @@ pub fn refine_poses(
     if !finite {
         report.verdict = PoseVerdict::NotPossible;
         report.corrections.clear();
-    } else if config.mode == PosesMode::Auto && !judgement.improved() {
+    } else if config.mode.is_judged() && !judgement.improved() {
         report.verdict = PoseVerdict::GivenAreAsGood;
     }
     progress.end(&report.summary());

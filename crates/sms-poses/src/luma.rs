@@ -11,7 +11,8 @@ pub(crate) fn luma(color: &ColorImage) -> Luma {
     smooth(&color.map(|&[r, g, b]| 0.299 * f32::from(r) + 0.587 * f32::from(g) + 0.114 * f32::from(b)))
 }
 
-fn smooth(image: &Luma) -> Luma {
+/// Smooths by [1 2 1] / 4 both ways.
+pub(crate) fn smooth(image: &Luma) -> Luma {
     let (w, h) = image.size();
     let mut rows = image.clone();
     for y in 0..h {

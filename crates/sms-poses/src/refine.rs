@@ -6,7 +6,7 @@ use crate::covariance::Covariance;
 use crate::floor::{PairFloor, PairForm};
 use crate::given::{GivenNoise, GivenPoses, hand_eye_after};
 use crate::graph::{Graph, choose_pairs};
-use crate::histogram::{Histogram, ResidualStats};
+use crate::histogram::ResidualStats;
 use crate::linear::{COMMON, HAND_EYE, Six, System};
 use crate::noise::depth_noise;
 use crate::pair::{PairSums, ShiftSums};
@@ -128,7 +128,8 @@ impl<'a> BundleAdjustment<'a> {
         }
         let center_w = if count > 0 { sum / count as f64 } else { DVec3::ZERO };
         let arm_m = (square / count.max(1) as f64 - center_w.length_squared()).max(0.0).sqrt();
-        Self { views, given, graph: choose_pairs(views, given, config), config, center_w, arm_m, depths_m }
+        let graph = choose_pairs(&views.iter().collect::<Vec<_>>(), given, config);
+        Self { views, given, graph, config, center_w, arm_m, depths_m }
     }
 
     /// Returns the frames without a pair; only the prior constrains them.
@@ -263,7 +264,7 @@ impl<'a> BundleAdjustment<'a> {
             apparent_shift_px: [0.0; 2],
             phase: Phase::Approach,
             arcs: arcs(&self.graph.pairs),
-            weighing: Weighing { depth_scale: 10.0, color_scale: 4.0, gate_m: self.widest_gate_m() },
+            weighing: Weighing::first(self.widest_gate_m()),
             floor: PairFloor::default(),
             noise: GivenNoise::configured(self.config),
         }
@@ -364,16 +365,8 @@ impl<'a> BundleAdjustment<'a> {
     pub(crate) fn weighing_after(&self, sums: &[PairSums], before: &Weighing) -> Weighing {
         let mut seen = ResidualStats::default();
         sums.iter().for_each(|pair| seen.merge(&pair.seen));
-        let scale = |h: &Histogram| h.median().map_or(1.0, |m| (1.4826 * m).max(1.0));
-        let depth_scale = scale(&seen.depth);
-        // σ of the difference of two measurements in the frame from furthest away.
-        let sigma_m = self.depths_m.iter().map(|z| self.config.noise.sigma_m(*z)).fold(0.0, f64::max)
-            * std::f64::consts::SQRT_2;
-        Weighing {
-            depth_scale,
-            color_scale: scale(&seen.color),
-            gate_m: (8.0 * depth_scale * sigma_m).max(0.01).min(before.gate_m),
-        }
+        let sigma_m = self.depths_m.iter().map(|z| self.config.noise.sigma_m(*z)).fold(0.0, f64::max);
+        before.after(&seen, sigma_m)
     }
 
     /// Refines all poses: from coarse to fine images, then with the noise that the result shows.

@@ -10,7 +10,7 @@
 
 use crate::PosesConfig;
 use crate::align::lever;
-use crate::histogram::ResidualStats;
+use crate::histogram::{Histogram, ResidualStats};
 use crate::linear::Six;
 use crate::luma::sample;
 use crate::pair::{ColorRow, PairSums, Sums};
@@ -99,6 +99,22 @@ pub(crate) struct Weighing {
     pub(crate) color_scale: f64,
     /// Mapped points farther than this from the measured surface count as occluded, metres.
     pub(crate) gate_m: f64,
+}
+
+impl Weighing {
+    /// Returns the weights from which an alignment begins: residuals of badly aligned frames are many σ.
+    pub(crate) fn first(gate_m: f64) -> Self {
+        Self { depth_scale: 10.0, color_scale: 4.0, gate_m }
+    }
+
+    /// Returns the robust scales after residuals were seen: the typical ones, but at least the noise. `sigma_z_m` is the noise of
+    /// depth where it is largest.
+    pub(crate) fn after(&self, seen: &ResidualStats, sigma_z_m: f64) -> Self {
+        let scale = |h: &Histogram| h.median().map_or(1.0, |m| (1.4826 * m).max(1.0));
+        let depth_scale = scale(&seen.depth);
+        let gate_m = 8.0 * depth_scale * std::f64::consts::SQRT_2 * sigma_z_m;
+        Self { depth_scale, color_scale: scale(&seen.color), gate_m: gate_m.max(0.01).min(self.gate_m) }
+    }
 }
 
 /// Tukey's weight of a residual of `e` σ, if `scale` σ are typical.

@@ -208,11 +208,24 @@ pub(crate) fn sigma_along_normal(sigma_z_m: f64, p_c: DVec3, n_c: DVec3) -> f64 
 
 /// Prepares all frames, with as many levels as their size allows, up to the configured number.
 pub(crate) fn views(sequence: &Sequence, config: &PosesConfig) -> Vec<PreparedFrame> {
-    const LEAST_SIDE: usize = 12;
     let long = sequence.frames.iter().map(|f| f.color.width.max(f.color.height)).max().unwrap_or(1);
     let short = sequence.frames.iter().map(|f| f.color.width.min(f.color.height)).min().unwrap_or(1);
+    let (levels, halvings) = levels_and_halvings(long, short, config);
+    sequence.frames.par_iter().map(|f| PreparedFrame::new(f, levels, halvings, config)).collect()
+}
+
+/// Prepares one frame.
+pub(crate) fn prepared(frame: &Frame, config: &PosesConfig) -> PreparedFrame {
+    let (w, h) = frame.color.size();
+    let (levels, halvings) = levels_and_halvings(w.max(h), w.min(h), config);
+    PreparedFrame::new(frame, levels, halvings, config)
+}
+
+/// Returns the number of levels, and the number of halvings of the loaded size for the finest one.
+fn levels_and_halvings(long: usize, short: usize, config: &PosesConfig) -> (usize, usize) {
+    const LEAST_SIDE: usize = 12;
     let halvings = (0..8usize).find(|h| long >> h <= config.finest_long_side.max(16)).unwrap_or(8);
     let fitting =
         (1..config.iterations.len().max(1)).take_while(|l| short >> (halvings + l) >= LEAST_SIDE).count();
-    sequence.frames.par_iter().map(|f| PreparedFrame::new(f, 1 + fitting, halvings, config)).collect()
+    (1 + fitting, halvings)
 }

@@ -17,3 +17,4 @@ pub(crate) mod scan;
 pub(crate) mod scenes;
 pub(crate) mod score;
 mod shared;
+pub(crate) mod tracking;

@@ -51,7 +51,7 @@ pub(crate) fn run(console: &Console, a: &OrbitsArguments) -> anyhow::Result<()> 
 }
 
 /// Returns the values with these names, or all without names.
-fn chosen<T: Copy>(
+pub(super) fn chosen<T: Copy>(
     names: &[String],
     option: &str,
     all: &[T],

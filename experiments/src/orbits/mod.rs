@@ -7,6 +7,7 @@ mod table;
 
 pub use disturbed::PoseFault;
 pub use measures::{BoxErrors, box_errors, center_scale};
+pub(crate) use scene::Rendered;
 pub use scene::{Orbit, OrbitKind};
 pub use table::{OrbitRow, Sigmas, orbit_metrics, orbit_table};
 
@@ -47,6 +48,6 @@ pub fn refine_orbit(
 }
 
 /// Returns the poses `X_WC` of the frames.
-fn poses_of(sequence: &Sequence) -> Vec<DPose3> {
+pub(crate) fn poses_of(sequence: &Sequence) -> Vec<DPose3> {
     sequence.frames.iter().map(|f| f.camera.x_wc).collect()
 }

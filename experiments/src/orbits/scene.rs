@@ -149,10 +149,26 @@ impl Orbit {
     /// Renders an orbit; scene and noise follow from the seed.
     pub fn record(kind: OrbitKind, seed: Seed) -> Self {
         let scene = kind.scene(seed);
-        let renderer = Renderer::new(&scene);
+        let poses = kind.poses(scene.workspace_center_w);
+        let Rendered { sequence, true_depth, labels } = Rendered::along(&scene, &poses, seed);
+        Self { kind, sequence, true_depth, labels }
+    }
+}
+
+/// A scene seen by an Xtion.
+pub(crate) struct Rendered {
+    pub(crate) sequence: Sequence,
+    pub(crate) true_depth: Vec<DepthImage>,
+    pub(crate) labels: Vec<LabelMap>,
+}
+
+impl Rendered {
+    /// Renders a scene from camera poses; noise follows from the seed.
+    pub(crate) fn along(scene: &TruthScene, poses: &[DPose3], seed: Seed) -> Self {
+        let renderer = Renderer::new(scene);
         let intrinsics = Intrinsics::from_fov(SIZE.0, SIZE.1, FOV_X);
         let (mut frames, mut true_depth, mut labels) = (Vec::new(), Vec::new(), Vec::new());
-        for (index, x_wc) in kind.poses(scene.workspace_center_w).into_iter().enumerate() {
+        for (index, &x_wc) in poses.iter().enumerate() {
             let model = CameraModel {
                 depth: xtion(),
                 seed: seed.derive_index("frame", index as u64),
@@ -176,6 +192,6 @@ impl Orbit {
         }
         let source = "rendered".into();
         let sequence = Sequence { frames, x_world_recording: DPose3::identity(), source };
-        Self { kind, sequence, true_depth, labels }
+        Self { sequence, true_depth, labels }
     }
 }

@@ -66,6 +66,8 @@ pub enum PosesName {
     Given,
     /// Use refined poses.
     Refine,
+    /// Estimate the poses from the images alone, then refine them as `auto` does; also what `auto` does without recorded poses.
+    Estimate,
 }
 
 impl PosesName {
@@ -75,6 +77,7 @@ impl PosesName {
             Self::Given => PosesMode::Given,
             Self::Refine => PosesMode::Refine,
             Self::Auto => PosesMode::Auto,
+            Self::Estimate => PosesMode::Estimate,
         }
     }
 }

@@ -96,6 +96,7 @@ pub fn check(
         lens_varies: recording.frames.iter().any(|f| f.color_lens != first.color_lens),
         axes: recording.axes,
         poses: recording.poses,
+        has_poses: recording.has_poses,
         depth_unit_m: recording.depth_unit_m,
         pixel_center: recording.pixel_center,
         valid_depth_share: valid as f64 / pixels.max(1) as f64,
@@ -117,10 +118,10 @@ pub fn check(
     readings::judge(&data, &mut report);
     judge_quality(&data, &mut report);
     report.findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
-    progress.end(if report.approved() {
-        "the declared conventions fit the data"
-    } else {
-        "faults were found"
+    progress.end(match (report.approved(), report.has_poses) {
+        (true, true) => "the declared conventions fit the data",
+        (true, false) => "every image can be read",
+        (false, _) => "faults were found",
     });
     Ok(report)
 }

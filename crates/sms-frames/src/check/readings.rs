@@ -48,8 +48,10 @@ impl<'a> CheckData<'a> {
         self.probes.binary_search_by_key(&index, |p| p.index).ok().map(|i| &self.probes[i])
     }
 
+    /// Returns the pairs of frames that can be compared: none without poses.
     fn pairs(&self, gap: usize) -> Vec<(&DepthSamples, &DepthSamples)> {
-        self.bases.iter().filter_map(|&i| Some((self.probe(i)?, self.probe(i + gap)?))).collect()
+        let bases = if self.recording.has_poses { self.bases.as_slice() } else { &[] };
+        bases.iter().filter_map(|&i| Some((self.probe(i)?, self.probe(i + gap)?))).collect()
     }
 
     fn errors(&self, gap: usize, poses: &[DPose3], hypothesis: &Hypothesis) -> Vec<PairErrors> {
@@ -112,10 +114,11 @@ impl<'a> CheckData<'a> {
 /// Fills the report's comparisons and adds the findings that follow from them.
 pub(super) fn judge(data: &CheckData<'_>, report: &mut CheckReport) {
     if data.pairs(data.gap()).is_empty() {
+        let lack = if report.has_poses { "on a single frame" } else { "without camera poses" };
         report.findings.push(Finding {
             severity: Severity::Info,
-            code: "cannot_compare",
-            what: "conventions and units cannot be checked on a single frame".to_owned(),
+            code: if report.has_poses { "cannot_compare" } else { "no_poses" },
+            what: format!("conventions and units cannot be checked {lack}"),
             cure: String::new(),
         });
         return;

@@ -98,6 +98,8 @@ pub struct CheckReport {
     pub axes: Axes,
     /// Direction as declared.
     pub poses: PoseDirection,
+    /// Whether the recording has camera poses.
+    pub has_poses: bool,
     /// Depth unit as declared, metres.
     pub depth_unit_m: f64,
     /// Pixel centre as declared.
@@ -167,11 +169,15 @@ impl std::fmt::Display for CheckReport {
             100.0 * self.valid_depth_share,
             short(self.depth_unit_m)
         )?;
-        writeln!(
-            out,
-            "  poses             rigid (rounding up to {:.0e}), path {:.2} m",
-            self.pose_rounding, self.camera_path_m
-        )?;
+        if !self.has_poses {
+            writeln!(out, "  poses             none: a scan estimates them from the images")?;
+        } else {
+            writeln!(
+                out,
+                "  poses             rigid (rounding up to {:.0e}), path {:.2} m",
+                self.pose_rounding, self.camera_path_m
+            )?;
+        }
         for (name, overlap) in [("i → i+1", self.overlap_1), ("i → i+4", self.overlap_4)] {
             match overlap {
                 Some(o) => writeln!(
@@ -231,7 +237,7 @@ impl std::fmt::Display for CheckReport {
                 writeln!(out, "  cure: {}", f.cure)?;
             }
         }
-        if self.approved() {
+        if self.approved() && self.has_poses {
             writeln!(out, "The declared conventions fit the data.")?;
         }
         Ok(())

@@ -13,7 +13,7 @@ use crate::depth_file::depth_size;
 use crate::recording::{Notice, RecordedFrame, Recording, RecordingFormat};
 use crate::rigid::pose_from_rows;
 use crate::{Axes, Distortion, FramesError, Lens, PoseDirection, ReadOptions};
-use glamx::DVec3;
+use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use serde::Deserialize;
 use sms_core::{CoreError, InputError, Intrinsics, read_color_size};
@@ -45,7 +45,7 @@ struct FrameKeys {
     file_path: String,
     depth_file_path: Option<String>,
     mask_path: Option<String>,
-    transform_matrix: Vec<Vec<f64>>,
+    transform_matrix: Option<Vec<Vec<f64>>>,
     time: Option<f64>,
     #[serde(flatten)]
     camera: CameraKeys,
@@ -88,6 +88,7 @@ struct Reader<'a> {
     /// Offset added to recorded principal points so that pixel centres lie at +0.5.
     center_shift: f64,
     same_field_of_view: bool,
+    has_poses: bool,
 }
 
 pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, FramesError> {
@@ -126,14 +127,17 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
         options,
         center_shift: 0.5 - pixel_center,
         same_field_of_view: options.depth_same_field_of_view || all.depth_same_field_of_view,
+        has_poses: !options.ignore_poses && all.frames.iter().any(|f| f.transform_matrix.is_some()),
     };
     let read: Vec<Result<RecordedFrame, FramesError>> =
         all.frames.par_iter().enumerate().map(|(i, f)| reader.frame(i, f, &all.camera)).collect();
     let mut frames = read.into_iter().collect::<Result<Vec<_>, _>>()?;
     let start = frames.iter().filter_map(|f| f.time_s).fold(f64::INFINITY, f64::min);
     for frame in &mut frames {
-        frame.x_rc.translation /= scale;
-        frame.x_rc = to_opencv(frame.x_rc, axes, poses);
+        if reader.has_poses {
+            frame.x_rc.translation /= scale;
+            frame.x_rc = to_opencv(frame.x_rc, axes, poses);
+        }
         frame.time_s = frame.time_s.map(|t| t - start);
     }
     Ok(Recording {
@@ -143,6 +147,7 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
         depth_unit_m,
         axes,
         poses,
+        has_poses: reader.has_poses,
         pixel_center,
         world_up_r,
         world_is_aligned: all.world_is_aligned,
@@ -222,15 +227,7 @@ impl Reader<'_> {
         let keys = FrameCamera { own: &frame.camera, shared: all };
         let color_lens = self.color_lens(&keys, color, &color_path)?;
         let depth_lens = self.depth_lens(&keys, &color_lens, depth, &depth_path)?;
-        let (x_rc, pose_rounding) = pose_from_rows(&frame.transform_matrix).map_err(|why| {
-            InputError::new(
-                format!("the pose of frame {index} ({}) is not a rigid transform", frame.file_path),
-                &self.json,
-                "export this pose again: transform_matrix must be a rotation and a translation in metres; or \
-                 remove the frame",
-            )
-            .because(why)
-        })?;
+        let (x_rc, pose_rounding) = self.pose(index, frame)?;
         Ok(RecordedFrame {
             color_path,
             depth_path,
@@ -240,6 +237,28 @@ impl Reader<'_> {
             x_rc,
             pose_rounding,
             time_s: frame.time,
+        })
+    }
+
+    /// Returns the pose as written, and its rounding.
+    fn pose(&self, index: usize, frame: &FrameKeys) -> Result<(DPose3, f64), InputError> {
+        if !self.has_poses {
+            return Ok((DPose3::identity(), 0.0));
+        }
+        let Some(rows) = &frame.transform_matrix else {
+            let what = format!("frame {index} ({}) has no pose, but others have", frame.file_path);
+            let cure =
+                "add transform_matrix to this frame, remove it, or estimate all poses (--poses estimate)";
+            return Err(InputError::new(what, &self.json, cure));
+        };
+        pose_from_rows(rows).map_err(|why| {
+            InputError::new(
+                format!("the pose of frame {index} ({}) is not a rigid transform", frame.file_path),
+                &self.json,
+                "export this pose again: transform_matrix must be a rotation and a translation in metres; remove \
+                 the frame; or estimate all poses (--poses estimate)",
+            )
+            .because(why)
         })
     }
 

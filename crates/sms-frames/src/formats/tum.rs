@@ -1,7 +1,7 @@
 //! The TUM RGB-D benchmark's format (Sturm et al., IROS 2012).
 //!
-//! `rgb.txt`, `depth.txt`: `time file`; `groundtruth.txt`: `time tx ty tz qx qy qz qw`, the pose of the colour camera
-//! (OpenCV axes) in the world. Colour and depth are associated one to one by time; the pose is interpolated at the
+//! `rgb.txt`, `depth.txt`: `time file`; `groundtruth.txt`, if there is one: `time tx ty tz qx qy qz qw`, the pose of the
+//! colour camera (OpenCV axes) in the world. Colour and depth are associated one to one by time; the pose is interpolated at the
 //! time of the depth image, because depth determines the surfaces. Depth is in 1/5000 m.
 
 use super::to_opencv;
@@ -29,7 +29,7 @@ fn rows(path: &Path) -> Result<Vec<(usize, Vec<String>)>, FramesError> {
         InputError::new(
             "this file of a TUM RGB-D recording cannot be read",
             path,
-            "a recording holds rgb.txt, depth.txt and groundtruth.txt",
+            "a recording holds rgb.txt, depth.txt and, with poses, groundtruth.txt",
         )
         .because(e)
     })?;
@@ -177,13 +177,15 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
     let colors = read_list(&dir.join("rgb.txt"))?;
     let depths = read_list(&dir.join("depth.txt"))?;
     let trajectory_path = dir.join("groundtruth.txt");
-    let trajectory = read_trajectory(&trajectory_path)?;
+    let has_poses = !options.ignore_poses && trajectory_path.is_file();
+    let trajectory = if has_poses { read_trajectory(&trajectory_path)? } else { Vec::new() };
     let mut notices = Vec::new();
 
     let pairs = associate(&colors, &depths, options.max_pair_gap_s);
     let mut posed: Vec<(f64, PathBuf, PathBuf, DPose3)> = Vec::new();
     for &(i, j) in &pairs {
-        if let Some(pose) = interpolate(&trajectory, depths[j].0, options.max_pose_gap_s) {
+        let recorded = || interpolate(&trajectory, depths[j].0, options.max_pose_gap_s);
+        if let Some(pose) = if has_poses { recorded() } else { Some(DPose3::identity()) } {
             posed.push((depths[j].0, dir.join(&colors[i].1), dir.join(&depths[j].1), pose));
         }
     }
@@ -260,6 +262,7 @@ pub(crate) fn open(dir: &Path, options: &ReadOptions) -> Result<Recording, Frame
         depth_unit_m: options.depth_unit_m.unwrap_or(1.0 / 5000.0),
         axes,
         poses,
+        has_poses,
         pixel_center,
         world_up_r: None,
         world_is_aligned: false,

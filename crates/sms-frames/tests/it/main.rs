@@ -6,4 +6,5 @@ mod faults;
 mod images;
 mod real_data;
 mod tum;
+mod without_poses;
 mod world;

@@ -129,7 +129,7 @@ impl Run<'_> {
     /// Collects and checks the settings before any file is written: a refused setting must not change an earlier run.
     fn scan_settings(&self, request: &ScanRequest) -> Result<ScanSettings, Error> {
         let given = &self.context.settings;
-        let read = given.section("read", ReadOptions::default())?;
+        let mut read = given.section("read", ReadOptions::default())?;
         let defaults = LoadSettings { long_side: request.preset.long_side(), ..LoadSettings::default() };
         let mut load = given.section("frames", defaults)?;
         if let Some(up) = request.up {
@@ -137,6 +137,7 @@ impl Run<'_> {
         }
         let mut poses = given.section("poses", poses_defaults(&load))?;
         poses.mode = request.poses.unwrap_or(poses.mode);
+        read.ignore_poses |= poses.mode == PosesMode::Estimate;
         let mut scan = given.section("scan", ScanConfig::preset(request.preset))?;
         scan.holdout = request.holdout.unwrap_or(scan.holdout);
         load.validate()?;

@@ -1,5 +1,6 @@
 //! Recording → frames.
 
+use super::tracking::with_estimated_poses;
 use crate::Error;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, StageContext};
@@ -29,7 +30,7 @@ pub struct Frames {
     pub metrics: Metrics,
 }
 
-/// Checks a recording, loads its frames and refines their poses.
+/// Estimates the poses of a recording if it has none, checks it, loads its frames and refines their poses.
 ///
 /// # Errors
 /// [`Error::Input`] that names the fault of the recording; otherwise the error of the step that failed.
@@ -38,14 +39,27 @@ pub fn frames(
     request: &FramesRequest,
     context: StageContext<'_>,
 ) -> Result<Frames, Error> {
+    let mode = request.poses.mode;
+    let must_estimate = mode == PosesMode::Estimate || (mode == PosesMode::Auto && !recording.has_poses);
+    let estimated = must_estimate
+        .then(|| with_estimated_poses(recording, &request.load, &request.poses, context))
+        .transpose()?;
+    let recording = estimated.as_ref().map_or(recording, |(posed, _)| posed);
+    if !recording.has_poses {
+        let cure = "have them estimated from the images: --poses estimate";
+        return Err(InputError::new("this recording has no camera poses", &recording.root, cure).into());
+    }
     let checked = checked(recording, request.accept_faults, context)?;
     let sequence = load(recording, &request.load, context)?;
     let mut frames = refined(sequence, &request.poses, context)?;
     frames.metrics.merge(checked);
+    if let Some((_, tracking)) = estimated {
+        frames.metrics.merge(tracking);
+    }
     Ok(frames)
 }
 
-/// Refines the poses of loaded frames, unless the mode is `off`.
+/// Refines the poses of loaded frames, unless the mode is `given`.
 ///
 /// # Errors
 /// As [`refine_poses`].

@@ -9,6 +9,7 @@ mod landing;
 mod masks;
 mod scene;
 mod strike;
+mod tracking;
 
 pub use chooser::{ChoiceRecord, ChosenLanding, LandingChooser, action_of, choose_landing, observation};
 pub use entities::{Entities, entities, entity_metrics};
@@ -19,6 +20,7 @@ pub use landing::{LandingProblem, stuck_text};
 pub use masks::{ObjectMasks, masks};
 pub use scene::{SceneRequest, drift_text, scene};
 pub use strike::StrikeProblem;
+pub use tracking::with_estimated_poses;
 
 pub(crate) use chooser::recording;
 pub(crate) use evaluate::add_drifts;

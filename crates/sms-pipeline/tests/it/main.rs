@@ -3,3 +3,4 @@
 mod flow;
 mod resume;
 mod settings_keys;
+mod tracking;

@@ -4,3 +4,4 @@ mod common;
 mod compare;
 mod degenerate;
 mod recovery;
+mod tracking;
