@@ -17,7 +17,9 @@ pub fn recorded_colors(
     long_side: usize,
     cancel: &Cancel,
 ) -> Result<Vec<Option<ColorImage>>, CoreError> {
-    let Ok(recording) = Recording::open(&sequence.source, options) else {
+    // Poses may be missing or faulty where others are used.
+    let options = ReadOptions { ignore_poses: true, ..options.clone() };
+    let Ok(recording) = Recording::open(&sequence.source, &options) else {
         return Ok(vec![None; sequence.len()]);
     };
     sequence

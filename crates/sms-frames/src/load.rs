@@ -31,6 +31,9 @@ pub fn load(
     for notice in &recording.notices {
         warnings.add("scan", notice.code, notice.message.clone(), notice.cure.clone());
     }
+    if !recording.has_poses {
+        return Err(recording.without_poses().into());
+    }
     let selected = selected_frames(recording, settings);
     if selected.is_empty() {
         let what = format!("no frame is left of {} from frame {} on", recording.frames.len(), settings.first);

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 pub enum RecordingFormat {
     /// `transforms.json` with depth, as nerfstudio reads it.
     Nerfstudio,
-    /// `rgb.txt`, `depth.txt` and `groundtruth.txt` of the TUM RGB-D benchmark.
+    /// `rgb.txt`, `depth.txt` and, with poses, `groundtruth.txt` of the TUM RGB-D benchmark.
     TumRgbd,
 }
 
@@ -163,6 +163,12 @@ impl Recording {
     /// The error for a recording without any depth.
     pub(crate) fn without_depth(&self) -> InputError {
         InputError::new("every depth image is empty", &self.root, "record again with depth")
+    }
+
+    /// The error for a recording that is used without any camera poses.
+    pub fn without_poses(&self) -> InputError {
+        let cure = "have them estimated from the images: --poses estimate";
+        InputError::new("the recording has no camera poses, or they are ignored", &self.root, cure)
     }
 
     /// Returns the index of the recorded frame of a loaded frame.

@@ -30,7 +30,7 @@ pub struct Frames {
     pub metrics: Metrics,
 }
 
-/// Estimates the poses of a recording if it has none, checks it, loads its frames and refines their poses.
+/// Checks a recording, estimates its poses if it has none, loads its frames and refines their poses.
 ///
 /// # Errors
 /// [`Error::Input`] that names the fault of the recording; otherwise the error of the step that failed.
@@ -41,16 +41,21 @@ pub fn frames(
 ) -> Result<Frames, Error> {
     let mode = request.poses.mode;
     let must_estimate = mode == PosesMode::Estimate || (mode == PosesMode::Auto && !recording.has_poses);
+    if !must_estimate && !recording.has_poses {
+        return Err(recording.without_poses().into());
+    }
+    let checked = checked(recording, request.accept_faults, context)?;
     let estimated = must_estimate
         .then(|| with_estimated_poses(recording, &request.load, &request.poses, context))
         .transpose()?;
-    let recording = estimated.as_ref().map_or(recording, |(posed, _)| posed);
-    if !recording.has_poses {
-        let cure = "have them estimated from the images: --poses estimate";
-        return Err(InputError::new("this recording has no camera poses", &recording.root, cure).into());
-    }
-    let checked = checked(recording, request.accept_faults, context)?;
-    let sequence = load(recording, &request.load, context)?;
+    let sequence = match &estimated {
+        // The frames were selected before.
+        Some((posed, _)) => {
+            let all = LoadSettings { first: 0, stride: 1, max_frames: 0, ..request.load.clone() };
+            load(posed, &all, context)?
+        }
+        None => load(recording, &request.load, context)?,
+    };
     let mut frames = refined(sequence, &request.poses, context)?;
     frames.metrics.merge(checked);
     if let Some((_, tracking)) = estimated {

@@ -12,7 +12,8 @@ const LONG_SIDE: usize = 320;
 /// Most frames that a warning names.
 const MOST_NAMED: usize = 8;
 
-/// Estimates the poses of all frames from their images. Frames whose pose is not found are left out.
+/// Estimates the poses of the selected frames from their images. Frames that are not selected, or whose pose is not found, are
+/// left out.
 ///
 /// # Errors
 /// [`Error::Input`] if there are no two frames that fit together, or a file is missing or damaged; an interruption.
@@ -24,33 +25,43 @@ pub fn with_estimated_poses(
 ) -> Result<(Recording, Metrics), Error> {
     let began = Instant::now();
     let settings = LoadSettings { long_side: LONG_SIDE, ..load.clone() };
-    let count = recording.frames.len();
-    let found = track_cameras(count, &|i| load_frame(recording, i, &settings), config, context)?;
+    // Frames that are not selected are followed, too: the camera moves less between them.
+    let end = match load.max_frames {
+        0 => recording.frames.len(),
+        most => load.first.saturating_add((most - 1).saturating_mul(load.stride.max(1)).saturating_add(1)),
+    };
+    let tracked = load.first.min(recording.frames.len())..end.min(recording.frames.len());
+    let (first, count) = (tracked.start, tracked.len());
+    let found = track_cameras(count, &|i| load_frame(recording, first + i, &settings), config, context)?;
     let posed = found.poses.iter().flatten().count();
-    if posed < 2 && count > 1 {
+    if posed < count.min(2) {
         let what = "the camera poses cannot be estimated: no two frames fit together";
         let cure = "record more slowly, with more overlap between frames, and keep objects within the depth camera's range";
         return Err(InputError::new(what, &recording.root, cure).into());
     }
-    warn(&found, context.warnings);
+    warn(&found, first, context.warnings);
     let mut metrics = Metrics::new();
     metrics.set("poses.tracked_frames", posed as f64);
     metrics.set("poses.lost_frames", (count - posed) as f64);
     metrics.set("poses.keyframes", found.keyframes as f64);
     metrics.set("poses.loops", found.loops as f64);
     metrics.set("poses.tracking_seconds", began.elapsed().as_secs_f64());
-    Ok((recording.clone().with_poses(&found.poses), metrics))
+    let mut selected = vec![None; recording.frames.len()];
+    for k in (0..count).step_by(load.stride.max(1)) {
+        selected[first + k] = found.poses[k];
+    }
+    Ok((recording.clone().with_poses(&selected), metrics))
 }
 
-fn warn(found: &Trajectory, warnings: &Warnings) {
+fn warn(found: &Trajectory, first: usize, warnings: &Warnings) {
     let named = |frames: &[usize]| {
-        let first: Vec<String> = frames.iter().take(MOST_NAMED).map(ToString::to_string).collect();
+        let some: Vec<String> = frames.iter().take(MOST_NAMED).map(|i| (first + i).to_string()).collect();
         let more = if frames.len() > MOST_NAMED {
             format!(" and {} more", frames.len() - MOST_NAMED)
         } else {
             String::new()
         };
-        format!("{}{more}", first.join(", "))
+        format!("{}{more}", some.join(", "))
     };
     let lost: Vec<usize> = found.other_pieces.iter().flatten().copied().collect();
     if !lost.is_empty() {

@@ -18,21 +18,20 @@ const ALIKE: usize = 4;
 const ROUNDS: usize = 2;
 
 /// Adds edges between keyframes that show the same place, by appearance and by their poses, and settles all poses. Pieces that
-/// an edge joins become one. Returns the number of edges that were added.
+/// an edge joins become one. Returns the number of edges that were added and kept.
 pub(super) fn close_loops(
     keyframes: &mut [Keyframe],
     edges: &mut Vec<Edge>,
     config: &PosesConfig,
     cancel: &Cancel,
 ) -> Result<usize, CoreError> {
-    let tracked = edges.len();
     let alike = alike_pairs(keyframes, edges);
     let by_corners = |&(from, to): &(usize, usize)| {
         let (a, b) = (&keyframes[from].view, &keyframes[to].view);
         let seed = Seed(0).derive_index("loop", (from * keyframes.len() + to) as u64);
         let start = motion_by_features(&a.features, &b.features, seed)?;
         let motion = trusted_registration(a, b, &start, config)?;
-        Some(Edge { from, to, motion })
+        Some(Edge { from, to, motion, is_tracked: false })
     };
     let found: Vec<Option<Edge>> = alike.par_iter().map(by_corners).collect();
     edges.extend(found.into_iter().flatten());
@@ -45,13 +44,13 @@ pub(super) fn close_loops(
         let by_pose = |&(from, to): &(usize, usize)| {
             let (a, b) = (&keyframes[from], &keyframes[to]);
             let motion = trusted_registration(&a.view, &b.view, &(a.x_wc.inverse() * b.x_wc), config)?;
-            Some(Edge { from, to, motion })
+            Some(Edge { from, to, motion, is_tracked: false })
         };
         let found: Vec<Option<Edge>> = near.par_iter().map(by_pose).collect();
         edges.extend(found.into_iter().flatten());
         settle_poses(keyframes, edges);
     }
-    Ok(edges.len().saturating_sub(tracked))
+    Ok(edges.iter().filter(|e| !e.is_tracked).count())
 }
 
 fn known(edges: &[Edge]) -> BTreeSet<(usize, usize)> {
@@ -127,12 +126,29 @@ fn join_pieces(keyframes: &mut [Keyframe], edges: &[Edge]) {
 
 /// Settles the poses of all pieces, and drops the edges that contradict the others.
 fn settle_poses(keyframes: &mut [Keyframe], edges: &mut Vec<Edge>) {
-    let pieces: BTreeSet<usize> = keyframes.iter().map(|k| k.piece).collect();
-    let first = |piece: usize| keyframes.iter().position(|k| k.piece == piece);
-    let held: Vec<usize> = pieces.into_iter().filter_map(first).collect();
+    let held = connected(keyframes, edges);
     let mut poses: Vec<DPose3> = keyframes.iter().map(|k| k.x_wc).collect();
     let agrees = settle(&mut poses, edges, &held);
     keyframes.iter_mut().zip(poses).for_each(|(k, x_wc)| k.x_wc = x_wc);
     let mut agrees = agrees.into_iter();
-    edges.retain(|e| agrees.next().unwrap_or(true) || e.to == e.from + 1);
+    edges.retain(|e| agrees.next().unwrap_or(true) || e.is_tracked);
+    // Pieces that only dropped edges had joined are pieces again.
+    connected(keyframes, edges);
+}
+
+/// Makes the keyframes that edges connect one piece each; returns the first keyframe of each piece.
+fn connected(keyframes: &mut [Keyframe], edges: &[Edge]) -> Vec<usize> {
+    (0..keyframes.len()).for_each(|k| keyframes[k].piece = k);
+    let mut is_changed = true;
+    while is_changed {
+        is_changed = false;
+        for edge in edges {
+            let least = keyframes[edge.from].piece.min(keyframes[edge.to].piece);
+            for end in [edge.from, edge.to] {
+                is_changed |= keyframes[end].piece != least;
+                keyframes[end].piece = least;
+            }
+        }
+    }
+    (0..keyframes.len()).filter(|&k| keyframes[k].piece == k).collect()
 }

@@ -84,7 +84,7 @@ pub(super) fn motion_by_features(a: &[Feature], b: &[Feature], seed: Seed) -> Op
     Some(x_ab)
 }
 
-/// Returns the motion that carries three points to three others, with the first exact; `None` if they are nearly on a line, or
+/// Returns the motion that carries three points to three others, with their middles on each other; `None` if they are nearly on a line, or
 /// their distances differ by more than a tenth.
 fn motion_of_three(from: &[DVec3; 3], to: &[DVec3; 3]) -> Option<DPose3> {
     let sides = |p: &[DVec3; 3]| [p[1] - p[0], p[2] - p[0], p[2] - p[1]].map(|d| d.length());

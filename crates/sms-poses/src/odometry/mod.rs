@@ -26,7 +26,7 @@ use tracker::Tracker;
 /// Estimated camera poses of a recording.
 #[derive(Debug, Clone, Default)]
 pub struct Trajectory {
-    /// Pose of each frame in the world of the first frame of the longest piece; `None` for frames that are not part of it.
+    /// Pose of each frame of the longest piece in the camera of its first frame; `None` for the other frames.
     pub poses: Vec<Option<DPose3>>,
     /// Frames of the other pieces, whose place relative to the longest is not known.
     pub other_pieces: Vec<Vec<usize>>,
@@ -96,8 +96,10 @@ pub fn track_cameras(
         let keyframe = &keyframes[placed.keyframe];
         (Some(keyframe.piece) == longest).then(|| keyframe.x_wc * placed.x_kc)
     };
+    let poses: Vec<Option<DPose3>> = frames.iter().map(|placed| placed.as_ref().and_then(pose)).collect();
+    let x_fw = poses.iter().flatten().next().map_or(DPose3::identity(), DPose3::inverse);
     Ok(Trajectory {
-        poses: frames.iter().map(|placed| placed.as_ref().and_then(pose)).collect(),
+        poses: poses.into_iter().map(|x_wc| Some(x_fw * x_wc?)).collect(),
         other_pieces: pieces.into_iter().filter(|(piece, _)| Some(*piece) != longest).map(|p| p.1).collect(),
         without_depth,
         keyframes: keyframes.len(),

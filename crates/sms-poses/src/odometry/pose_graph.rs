@@ -13,6 +13,8 @@ pub(super) struct Edge {
     pub(super) from: usize,
     pub(super) to: usize,
     pub(super) motion: Registration,
+    /// Whether it is part of the track of frame after frame, without which there is no pose.
+    pub(super) is_tracked: bool,
 }
 
 /// Rounds of estimating the floor of the registration errors, and the poses with it.
@@ -69,13 +71,12 @@ pub(super) fn settle(x_wc: &mut [DPose3], edges: &[Edge], held: &[usize]) -> Vec
         }
         let now: Vec<Weighed> = edges.iter().map(|e| weighed(e, x_wc, center_w, &floor)).collect();
         agrees = now.iter().map(|w| w.weight >= LEAST_WEIGHT).collect();
-        // The forms without a floor tell its size.
-        let bare = PairFloor { shift_m: 0.0, ..floor };
+        // The forms without a floor, each about its own centre, tell its size.
         let fitting: Vec<PairForm> = edges
             .iter()
             .zip(&agrees)
             .filter(|(_, agrees)| **agrees)
-            .map(|(e, _)| weighed(e, x_wc, center_w, &bare).form)
+            .map(|(e, _)| own_form(e, x_wc))
             .collect();
         let unknown = 6 * x_wc.len().saturating_sub(held.len());
         floor = PairFloor::fitted(&fitting, floor.arm_m, unknown);
@@ -83,18 +84,27 @@ pub(super) fn settle(x_wc: &mut [DPose3], edges: &[Edge], held: &[usize]) -> Vec
     agrees
 }
 
-fn weighed(edge: &Edge, x_wc: &[DPose3], center_w: DVec3, floor: &PairFloor) -> Weighed {
-    let Registration { x_ab, information, center_a, .. } = &edge.motion;
-    let (x_wi, x_wj) = (&x_wc[edge.from], &x_wc[edge.to]);
-    // The motion that carries camera j to the place that frame i expects.
-    let expected = *x_wi * *x_ab * x_wj.inverse();
+/// Returns the motion about `center_w` that carries the second camera to the place that the first one expects.
+fn disagreement(edge: &Edge, x_wc: &[DPose3], center_w: DVec3) -> Six {
+    let expected = x_wc[edge.from] * edge.motion.x_ab * x_wc[edge.to].inverse();
     let turn = expected.rotation.to_scaled_axis();
     let shift = expected.transform_point(center_w) - center_w;
-    let off: Six = [turn.x, turn.y, turn.z, shift.x, shift.y, shift.z];
-    let h = in_world(information, &DMat3::from_quat(x_wi.rotation));
-    let form = PairForm { h, g: [0.0; 6], shift: ShiftSums::default() };
+    [turn.x, turn.y, turn.z, shift.x, shift.y, shift.z]
+}
+
+/// Returns the form of an edge about its own centre, in the axes of the world.
+fn own_form(edge: &Edge, x_wc: &[DPose3]) -> PairForm {
+    let x_wi = &x_wc[edge.from];
+    let h = in_world(&edge.motion.information, &DMat3::from_quat(x_wi.rotation));
+    let g = product(&h, &disagreement(edge, x_wc, x_wi.transform_point(edge.motion.center_a)));
+    PairForm { h, g, shift: ShiftSums::default() }
+}
+
+fn weighed(edge: &Edge, x_wc: &[DPose3], center_w: DVec3, floor: &PairFloor) -> Weighed {
+    let off = disagreement(edge, x_wc, center_w);
+    let form = own_form(edge, x_wc);
     let h = floor.applied(&form).h;
-    let to_center = about(x_wi.transform_point(*center_a), center_w);
+    let to_center = about(x_wc[edge.from].transform_point(edge.motion.center_a), center_w);
     let h: Block = times(&transposed(&to_center), &times(&h, &to_center));
     let g = product(&h, &off);
     let chi_squared: f64 = (0..6).map(|k| off[k] * g[k]).sum();

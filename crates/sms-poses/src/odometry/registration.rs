@@ -232,8 +232,13 @@ fn comparison(points: &[Point], into: &TrackedView, x: &DPose3, weighing: &Weigh
         }
         sum.measured += 1;
         let Some(met) = meeting(p, turn * point.n_c, view, f64::INFINITY) else { continue };
-        let plane = if met.n == DVec3::ZERO { DVec3::Z } else { met.n };
-        let sigma = point.sigma_m.hypot(sigma_along_normal(met.sigma_z_m, met.q, met.n)).max(1e-9);
+        // Without a direction of the surface, depths are compared along the axis.
+        let (plane, sigma_q_m) = if met.n == DVec3::ZERO {
+            (DVec3::Z, met.sigma_z_m)
+        } else {
+            (met.n, sigma_along_normal(met.sigma_z_m, met.q, met.n))
+        };
+        let sigma = point.sigma_m.hypot(sigma_q_m).max(1e-9);
         if plane.dot(p - met.q).abs() <= SAME * weighing.depth_scale * sigma {
             sum.same += 1;
         } else if p.z < met.q.z {

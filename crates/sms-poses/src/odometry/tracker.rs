@@ -5,6 +5,7 @@ use super::pose_graph::Edge;
 use super::registration::{Registration, TrackedView, register};
 use crate::PosesConfig;
 use glamx::DPose3;
+use rayon::prelude::*;
 use sms_core::Seed;
 
 /// A frame is a new keyframe if less than this share of it is seen in the latest one …
@@ -46,6 +47,8 @@ pub(super) struct Tracker<'a> {
     /// Place of each frame so far; `None` without depth.
     pub(super) frames: Vec<Option<Placed>>,
     latest: Option<Latest>,
+    /// Place where the track was last lost.
+    before: Option<Placed>,
     /// Keyframe that frames are registered to.
     current: usize,
     pieces: usize,
@@ -62,6 +65,7 @@ impl<'a> Tracker<'a> {
             edges: Vec::new(),
             frames: Vec::new(),
             latest: None,
+            before: None,
             current: 0,
             pieces: 0,
             x_kc: DPose3::identity(),
@@ -83,7 +87,7 @@ impl<'a> Tracker<'a> {
         let motion = self
             .by_current(&view)
             .or_else(|| self.promote_latest().then(|| self.by_current(&view)).flatten());
-        match motion.or_else(|| self.by_any(&view)) {
+        match motion.or_else(|| self.by_lost_track(&view)).or_else(|| self.by_any(&view)) {
             Some(motion) => self.place(frame, view, motion),
             None => self.begin_piece(frame, view),
         }
@@ -116,6 +120,7 @@ impl<'a> Tracker<'a> {
     /// Registers a frame to the keyframes that look most like it, and makes the one that fits the current one.
     fn by_any(&mut self, view: &TrackedView) -> Option<Registration> {
         let mut alike: Vec<(usize, usize)> = (0..self.keyframes.len())
+            .into_par_iter()
             .filter(|&k| k != self.current)
             .map(|k| (likeness(&self.keyframes[k].view.features, &view.features), k))
             .filter(|(count, _)| *count >= LEAST_INLIERS)
@@ -125,8 +130,17 @@ impl<'a> Tracker<'a> {
             .into_iter()
             .take(TRIED_KEYFRAMES)
             .find_map(|(_, k)| Some((k, self.by_corners(k, view)?)))?;
-        self.current = k;
-        self.x_step = DPose3::identity();
+        // The frame is taken to be at rest: its place before is known relative to another keyframe only.
+        (self.current, self.x_kc) = (k, motion.x_ab);
+        Some(motion)
+    }
+
+    /// Registers a frame to the keyframe that was current before the track was lost, from the last known pose: one bad frame does
+    /// not end a piece.
+    fn by_lost_track(&mut self, view: &TrackedView) -> Option<Registration> {
+        let Placed { keyframe, x_kc } = self.before?;
+        let motion = self.trusted(keyframe, view, &x_kc)?;
+        (self.current, self.x_kc) = (keyframe, motion.x_ab);
         Some(motion)
     }
 
@@ -147,12 +161,17 @@ impl<'a> Tracker<'a> {
         let (from, to) = (self.current, self.keyframes.len());
         let Keyframe { piece, x_wc, .. } = self.keyframes[from];
         self.keyframes.push(Keyframe { piece, x_wc: x_wc * motion.x_ab, view });
-        self.edges.push(Edge { from, to, motion: *motion });
+        self.edges.push(Edge { from, to, motion: *motion, is_tracked: true });
         self.become_current(frame, to);
     }
 
     /// Begins a new piece of the trajectory with a frame that could not be registered.
     fn begin_piece(&mut self, frame: usize, view: TrackedView) {
+        // A piece of one frame is no track.
+        let had_track = self.latest.is_some() || self.edges.last().is_some_and(|e| e.to == self.current);
+        if !self.keyframes.is_empty() && (had_track || self.before.is_none()) {
+            self.before = Some(Placed { keyframe: self.current, x_kc: self.x_kc });
+        }
         self.keyframes.push(Keyframe { piece: self.pieces, x_wc: DPose3::identity(), view });
         self.pieces += 1;
         self.x_step = DPose3::identity();

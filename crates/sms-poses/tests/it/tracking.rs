@@ -51,6 +51,17 @@ fn frames_without_depth_are_left_out() {
 }
 
 #[test]
+fn a_bad_frame_does_not_end_a_track() {
+    let mut frames = frames_of(1, 14);
+    // Another scene, without anything in common, in the middle.
+    frames[7] = frames_of(2, 20).pop().unwrap();
+    let found = track(&frames);
+    assert_eq!(found.other_pieces, [[7]]);
+    assert_eq!(found.poses.iter().flatten().count(), 13);
+    assert!(found.poses[0].unwrap().translation.length() < 1e-9);
+}
+
+#[test]
 fn another_scene_is_another_piece() {
     let mut frames = frames_of(1, 12);
     frames.extend(frames_of(2, 6));
