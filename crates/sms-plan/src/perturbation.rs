@@ -22,7 +22,9 @@ pub struct Perturbation {
     pub worlds: usize,
     /// Whether materials are sampled within their intervals.
     pub materials: bool,
-    /// Horizontal position error of balls that is common to all bodies (scale, pose of the recording, pose of the
+    /// Whether sizes and distances are scaled by a common factor, as uncertain as the scene states (its `scale_sigma`).
+    pub scale: bool,
+    /// Horizontal position error of balls that is common to all bodies (pose of the recording, pose of the
     /// robot), metres. Twice the standard error of the fit is added. With 0, there is neither
     /// error. Balls in contact with other bodies stay in place.
     pub position_m: f64,
@@ -52,6 +54,7 @@ impl Default for Perturbation {
         Self {
             worlds: 16,
             materials: true,
+            scale: true,
             position_m: 0.001,
             radius_m: 0.0003,
             object_m: 0.002,
@@ -82,6 +85,8 @@ pub enum Unknown {
         /// Its name.
         body: String,
     },
+    /// Scale of the scene.
+    Scale,
     /// Execution of the strike by the robot.
     Execution,
 }
@@ -92,6 +97,7 @@ impl std::fmt::Display for Unknown {
             Self::Material { body } => write!(f, "the material of `{body}`"),
             Self::Pose { body } => write!(f, "the pose of `{body}`"),
             Self::Radius { body } => write!(f, "the radius of `{body}`"),
+            Self::Scale => f.write_str("the scale of the scene"),
             Self::Execution => f.write_str("the execution of the strike"),
         }
     }
@@ -113,13 +119,16 @@ impl Perturbation {
                 all.push(Unknown::Radius { body: name() });
             }
         }
+        if self.scale && scene.scale_sigma > 0.0 {
+            all.push(Unknown::Scale);
+        }
         if self.contact_m > 0.0 || self.angle_rad > 0.0 || self.speed_share > 0.0 {
             all.push(Unknown::Execution);
         }
         all
     }
 
-    /// The `index`-th perturbed scene: masses, materials, radii and poses differ from `scene`.
+    /// The `index`-th perturbed scene: masses, materials, sizes and poses differ from `scene`. It may lack visual meshes.
     pub fn scene(&self, scene: &Scene, seed: Seed, index: usize) -> Scene {
         self.scene_of(scene, seed, index, &|_| true)
     }
@@ -135,6 +144,11 @@ impl Perturbation {
     ) -> Scene {
         let seed = seed.derive_index("world", index as u64);
         let mut perturbed = scene.clone();
+        if self.scale && scene.scale_sigma > 0.0 && which(&Unknown::Scale) {
+            // The half width of a uniform distribution of this standard deviation.
+            let half = 3f64.sqrt() * scene.scale_sigma;
+            perturbed = scene.scaled(1.0 + half * symmetric(&mut seed.derive("scale").rng()));
+        }
         for (body, is_free) in perturbed.bodies.iter_mut().zip(self.free(scene)) {
             let name = body.name.clone();
             let rng = |what: &str| seed.derive(what).derive(&name).rng();
@@ -318,6 +332,7 @@ mod tests {
             version: SCENE_VERSION,
             name: "test".into(),
             gravity_w: DVec3::new(0.0, 0.0, -9.81),
+            scale_sigma: 0.0,
             x_world_recording: DPose3::identity(),
             bodies: vec![floor_body(0.0, material), ball],
         }
@@ -367,6 +382,44 @@ mod tests {
             let (i, expected) = (ball.mass.unwrap().inertia().x_axis.x, of_size.inertia().x_axis.x);
             assert!((i / expected - 1.0).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn a_scene_of_uncertain_scale_keeps_its_contacts_and_densities() {
+        let exact =
+            Perturbation { radius_m: 0.0, position_m: 0.0, materials: false, ..Perturbation::default() };
+        let mut scene = scene();
+        let other = Body {
+            name: "other".into(),
+            x_wb: DPose3::from_translation(DVec3::new(0.36, 0.1, 0.03)),
+            ..scene.bodies[1].clone()
+        };
+        scene.bodies.push(other);
+        assert_eq!(exact.scene(&scene, Seed(5), 0), scene);
+        scene.scale_sigma = 0.01;
+        assert!(exact.unknowns(&scene).contains(&Unknown::Scale));
+        let (count, mut squares) = (400, 0.0);
+        for i in 0..count {
+            let scaled = exact.scene(&scene, Seed(5), i);
+            let [floor, a, b] = &scaled.bodies[..] else { panic!("three bodies") };
+            let BodyShape::Sphere { radius } = a.shape else { panic!("still a ball") };
+            let factor = radius / 0.03;
+            squares += (factor - 1.0).powi(2);
+            let density = a.mass.unwrap().mass() / radius.powi(3);
+            let was = scene.bodies[1].mass.unwrap();
+            assert!((density / (was.mass() / 0.03f64.powi(3)) - 1.0).abs() < 1e-12);
+            let inertia = a.mass.unwrap().inertia().x_axis.x / was.inertia().x_axis.x;
+            assert!((inertia / factor.powi(5) - 1.0).abs() < 1e-12);
+            let (of_floor, of_ball) = (floor.x_wb.translation, a.x_wb.translation);
+            assert!((of_ball.z - of_floor.z - radius).abs() < 1e-15, "the ball touches the floor");
+            assert!((of_ball.distance(b.x_wb.translation) - 2.0 * radius).abs() < 1e-15, "and the other");
+            let mean = 0.5 * (of_ball + b.x_wb.translation);
+            assert!((mean - DVec3::new(0.33, 0.1, 0.03)).length() < 1e-15);
+        }
+        let sigma = (squares / count as f64).sqrt();
+        assert!((sigma / 0.01 - 1.0).abs() < 0.1, "{sigma}");
+        let fixed = Perturbation { scale: false, ..exact };
+        assert_eq!(fixed.scene(&scene, Seed(5), 0).bodies, scene.bodies);
     }
 
     #[test]

@@ -43,7 +43,7 @@ impl SensitivityAnalysis<'_> {
             Unknown::Material { body } | Unknown::Pose { body } | Unknown::Radius { body } => {
                 self.is_involved(body)
             }
-            Unknown::Execution => true,
+            Unknown::Scale | Unknown::Execution => true,
         });
         let each = (self.session.config.sensitivity_rollouts / unknowns.len().max(1)).min(MOST_WORLDS);
         if each < LEAST_WORLDS {

@@ -45,6 +45,17 @@ impl GivenNoise {
         [0, 1].map(|kind| (self.step[kind] > self.frame[kind]).then(|| sigma(kind)))
     }
 
+    /// Returns the standard deviation of a weighted sum of the position errors of all frames.
+    pub(crate) fn position_sigma(&self, weights: &[DVec3]) -> f64 {
+        const POSITION: usize = 1;
+        let variance = |axis: usize| {
+            let w: Vec<f64> = weights.iter().map(|w| w[axis]).collect();
+            let solved = chain_solve(self.frame[POSITION], self.step[POSITION], &w);
+            w.iter().zip(&solved).map(|(w, x)| w * x).sum::<f64>()
+        };
+        (0..3).map(variance).sum::<f64>().max(0.0).sqrt()
+    }
+
     fn mean_variance(&self, kind: usize, frames: usize, of: impl Fn(f64) -> f64) -> f64 {
         let variances =
             laplacian_eigenvalues(frames).map(|l| of(l) / (self.frame[kind] + self.step[kind] * l));
@@ -91,6 +102,15 @@ impl GivenPoses<'_> {
             let value = if is_turn { turned[axis] } else { shifted[axis] };
             Deviation { value, row: Row { frames: vec![(frame, own)], common } }
         })
+    }
+
+    /// Returns the camera centres under the given poses with the hand-eye correction, and the deviations of the poses from them.
+    pub(crate) fn shifts(&self, poses: &[DPose3], hand_eye: &DPose3) -> (Vec<DVec3>, Vec<DVec3>) {
+        let of = |(given, x): (&DPose3, &DPose3)| {
+            let base = (*given * *hand_eye).translation;
+            (base, x.translation - base)
+        };
+        self.poses.iter().zip(poses).map(of).unzip()
     }
 
     /// Returns the size of each frame's deviation: metres, radians.
@@ -189,6 +209,26 @@ fn squares(deviations: &[[Deviation; 6]], inverse: &Inverse<'_>, frames: usize) 
     sums
 }
 
+/// Solves (a I + s L) x = b, where L is the Laplacian of a chain: elimination of a tridiagonal matrix.
+fn chain_solve(a: f64, s: f64, b: &[f64]) -> Vec<f64> {
+    let n = b.len();
+    let neighbours = |i: usize| usize::from(i > 0) + usize::from(i + 1 < n);
+    let (mut diagonal, mut x) = (vec![0.0; n], b.to_vec());
+    for i in 0..n {
+        diagonal[i] = a + s * neighbours(i) as f64;
+        if i > 0 {
+            let factor = s / diagonal[i - 1];
+            diagonal[i] -= factor * s;
+            x[i] += factor * x[i - 1];
+        }
+    }
+    for i in (0..n).rev() {
+        let next = if i + 1 < n { s * x[i + 1] } else { 0.0 };
+        x[i] = (x[i] + next) / diagonal[i];
+    }
+    x
+}
+
 /// Returns the eigenvalues of the Laplacian of a chain of n frames.
 fn laplacian_eigenvalues(n: usize) -> impl Iterator<Item = f64> {
     (0..n).map(move |k| 2.0 - 2.0 * (std::f64::consts::PI * k as f64 / n as f64).cos())
@@ -268,6 +308,20 @@ mod tests {
                 let expected = (moved - d.value) / step;
                 assert!((d.row.common[HAND_EYE + a] - expected).abs() < 1e-5, "{r} {a}");
             }
+        }
+    }
+
+    #[test]
+    fn chains_are_solved() {
+        let (a, s, b) = (0.3, 2.0, [1.0, -2.0, 0.5, 3.0]);
+        let x = chain_solve(a, s, &b);
+        let n = b.len();
+        for i in 0..n {
+            let mut sum = a * x[i];
+            for j in [i.wrapping_sub(1), i + 1].into_iter().filter(|j| *j < n) {
+                sum += s * (x[i] - x[j]);
+            }
+            assert!((sum - b[i]).abs() < 1e-12, "{i}");
         }
     }
 

@@ -21,7 +21,8 @@
 //!   against each other at no cost do not show in the residuals.
 //!
 //! [`PosesMode::Auto`] refines only if the residuals at the given poses promise a gain, and uses the result only if held-out
-//! pairs of frames and points agree significantly better than before; otherwise the given poses are kept.
+//! pairs of frames and points agree significantly better than before, and if no change that many frames share ([`CommonMode`])
+//! exceeds the noise of the given poses; otherwise the given poses are kept.
 //!
 //! The direct alignment follows Kerl, Sturm and Cremers, "Dense visual SLAM for RGB-D cameras" (IROS 2013), and Whelan
 //! et al., "Robust real-time visual odometry for dense RGB-D mapping" (ICRA 2013); adjusting all poses at once with
@@ -49,6 +50,7 @@ mod histogram;
 mod judge;
 mod linear;
 mod luma;
+mod modes;
 mod noise;
 mod odometry;
 mod pair;
@@ -62,6 +64,7 @@ mod views;
 pub use align::align_rigidly;
 pub use config::{PosesConfig, PosesMode};
 pub use judge::{Consistency, Gain, Judgement};
+pub use modes::{CommonMode, ModeKind};
 pub use odometry::{Trajectory, track_cameras};
 pub use report::{GivenSigma, HandEye, PoseCorrection, PoseReport, PoseVerdict};
 pub use size::{ExtentUncertainty, SizeUncertainty};
@@ -133,6 +136,7 @@ pub fn refine_poses(
         floor,
         depth_noise,
         uncertainty,
+        common_mode,
         iterations,
     } = problem.run(progress, cancel)?;
     let given_sigma = GivenSigma::of(&noise, given.len());
@@ -159,6 +163,7 @@ pub fn refine_poses(
         pair_floor_m: Some(floor.shift_m),
         depth_noise,
         size: uncertainty,
+        common_mode,
         corrections,
         judgement,
     };
@@ -167,6 +172,8 @@ pub fn refine_poses(
         report.corrections.clear();
     } else if config.mode.is_judged() && !judgement.improved() {
         report.verdict = PoseVerdict::GivenAreAsGood;
+    } else if config.mode.is_judged() && common_mode.is_some_and(|mode| !mode.is_allowed()) {
+        report.verdict = PoseVerdict::CommonChange;
     }
     progress.end(&report.summary());
     let far = frames_far_off(&deviations, &given_sigma);
@@ -205,6 +212,19 @@ fn warn(
             "poses_not_refined",
             "the poses could not be refined: the images do not determine them",
             "check the depth and the poses with `sms check`",
+        );
+    }
+    if let Some(mode) = report.common_mode.filter(|mode| !mode.is_allowed()) {
+        let used = if report.verdict == PoseVerdict::Refined { "refined" } else { "given" };
+        warnings.add(
+            "poses",
+            "poses_common_change",
+            format!(
+                "a refinement would {}, which is more than the noise of the given poses explains; the {used} poses are used",
+                mode.summary()
+            ),
+            "check the unit of the depth, the intrinsics, and whether colour and depth are registered; with --poses refine the \
+             refined poses are used all the same",
         );
     }
     if report.verdict != PoseVerdict::Refined {

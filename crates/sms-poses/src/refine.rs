@@ -8,6 +8,7 @@ use crate::given::{GivenNoise, GivenPoses, hand_eye_after};
 use crate::graph::{Graph, choose_pairs};
 use crate::histogram::ResidualStats;
 use crate::linear::{COMMON, HAND_EYE, Six, System};
+use crate::modes::{CommonMode, largest_mode};
 use crate::noise::depth_noise;
 use crate::pair::{PairSums, ShiftSums};
 use crate::planes::PlaneMap;
@@ -71,6 +72,8 @@ pub(crate) struct Refined {
     pub(crate) depth_noise: Option<DepthNoise>,
     /// `None` if it cannot be computed.
     pub(crate) uncertainty: Option<SizeUncertainty>,
+    /// The common change of the poses that is least like noise.
+    pub(crate) common_mode: Option<CommonMode>,
     pub(crate) iterations: usize,
 }
 
@@ -403,6 +406,8 @@ impl<'a> BundleAdjustment<'a> {
         let points = self.points(&views, 0, estimate.color_shift);
         let depth_noise = depth_noise(&views, &points, &estimate.poses, &self.graph.pairs);
         let uncertainty = if levels > 0 { self.uncertainty(&estimate, free) } else { None };
+        let (centers_w, shifts) = self.given_poses().shifts(&estimate.poses, &estimate.hand_eye);
+        let common_mode = largest_mode(&centers_w, &shifts, &estimate.noise);
         Ok(Refined {
             poses: self.in_place(&estimate.poses),
             color_shift_px: estimate.color_shift,
@@ -412,6 +417,7 @@ impl<'a> BundleAdjustment<'a> {
             floor: estimate.floor,
             depth_noise,
             uncertainty,
+            common_mode,
             iterations,
         })
     }

@@ -1,7 +1,7 @@
 //! The report of a refinement.
 
 use crate::given::GivenNoise;
-use crate::{Judgement, SizeUncertainty};
+use crate::{CommonMode, Judgement, SizeUncertainty};
 use glamx::DPose3;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
@@ -66,6 +66,9 @@ pub enum PoseVerdict {
     Refined,
     /// Refined poses promised to be no better, or were not significantly better (`auto`), so the given poses are used.
     GivenAreAsGood,
+    /// The refined poses agree better, but differ from the given ones by a change that many frames share and that the noise of the
+    /// given poses does not explain (`auto`), so the given poses are used.
+    CommonChange,
     /// Nothing could be refined: too few frames, or no overlap.
     NotPossible,
 }
@@ -100,6 +103,9 @@ pub struct PoseReport {
     /// Uncertainty of the scene's size; also `None` if it cannot be computed.
     #[serde(default)]
     pub size: Option<SizeUncertainty>,
+    /// The change that many frames share and that is least like the noise of the given poses.
+    #[serde(default)]
+    pub common_mode: Option<CommonMode>,
     /// Correction of each frame.
     pub corrections: Vec<PoseCorrection>,
     /// Comparison of given and refined poses on held-out pairs.
@@ -154,6 +160,7 @@ impl PoseReport {
                 m.set("poses.scale_sigma", size.scale_sigma);
                 m.set("poses.size_sigma_m", size.weakest().map(|e| e.sigma_m));
             }
+            m.set("poses.common_mode_sigmas", self.common_mode.map(|mode| mode.ratio()));
             m.set("poses.depth_gain", j.depth.share).set("poses.depth_gain_t", j.depth.t);
             m.set("poses.color_gain", j.color.share).set("poses.color_gain_t", j.color.t);
         }
@@ -187,6 +194,10 @@ impl PoseReport {
             PoseVerdict::Refined => {
                 let size = self.size.as_ref().map(|s| format!("; {}", s.summary())).unwrap_or_default();
                 format!("poses refined by {by}: {residuals}{size}{noise}")
+            }
+            PoseVerdict::CommonChange => {
+                let change = self.common_mode.map(|mode| mode.summary()).unwrap_or_default();
+                format!("poses kept as given: a refinement by {by} would {change}")
             }
             _ => format!("poses kept as given: a refinement by {by} was no improvement ({residuals})"),
         }

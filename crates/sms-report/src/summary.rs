@@ -8,6 +8,9 @@ use sms_core::{
 use sms_scene::{BodyKind, BodyShape};
 use std::fmt::Write;
 
+/// Half width of the 90 % interval of a normal distribution, in standard deviations.
+const NINETY: f64 = 1.645;
+
 /// Returns the result in one sentence, with the next command where a stage is missing.
 pub(crate) fn result_sentence(input: &ReportInput<'_>) -> String {
     let (class, text, next) = result(input);
@@ -183,6 +186,16 @@ fn scan_cards(html: &mut String, input: &ReportInput<'_>) {
         let note =
             if exact.is_empty() { String::new() } else { format!("of these exact: {}", exact.join(", ")) };
         card(html, "Objects", &dynamic.count().to_string(), &note, "");
+        if scene.scale_sigma > 0.0 {
+            let value = format!("±{:.2} %", 100.0 * NINETY * scene.scale_sigma);
+            card(
+                html,
+                "Scale",
+                &value,
+                "90 % interval of all sizes and distances, from the camera poses",
+                "",
+            );
+        }
     }
     let seconds: f64 =
         ["scan.seconds", "materialize.seconds", "plan.seconds"].iter().filter_map(|k| m(k)).sum();
@@ -216,6 +229,7 @@ mod tests {
             version: 1,
             name: "t".into(),
             gravity_w: glamx::DVec3::NEG_Z * 9.81,
+            scale_sigma: 0.0,
             x_world_recording: glamx::DPose3::identity(),
             bodies: vec![sms_scene::Body {
                 kind: BodyKind::Dynamic,

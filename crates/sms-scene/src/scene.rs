@@ -16,6 +16,9 @@ pub struct Scene {
     pub name: String,
     /// Gravity in the world, m/s².
     pub gravity_w: DVec3,
+    /// Standard deviation of the scale of the scene, as a share: all sizes and distances are off by a common factor, which the
+    /// poses of the scan know no better. 0 if unknown.
+    pub scale_sigma: f64,
     /// `X_world_recording` of the scan this came from.
     pub x_world_recording: DPose3,
     /// The bodies; names are unique.
@@ -71,6 +74,21 @@ pub enum BodyShape {
 const CYLINDER_SEGMENTS: usize = 48;
 
 impl BodyShape {
+    fn scale(&mut self, factor: f64) {
+        let scale = |mesh: &mut Mesh| mesh.vertices.iter_mut().for_each(|v| *v *= factor);
+        match self {
+            Self::Sphere { radius } => *radius *= factor,
+            Self::Box { half_extents } => *half_extents *= factor,
+            Self::Cylinder { radius, half_length } => {
+                *radius *= factor;
+                *half_length *= factor;
+            }
+            Self::HalfSpace => {}
+            Self::Hulls { hulls } => hulls.iter_mut().for_each(scale),
+            Self::TriMesh { mesh } => scale(mesh),
+        }
+    }
+
     /// Returns the surface as meshes in `B`; spheres and cylinders are approximated, a half space has none.
     pub fn meshes(&self) -> Vec<Mesh> {
         match self {
@@ -144,6 +162,25 @@ impl Scene {
             (body.visual, body.texture) = (Mesh::default(), None);
         }
         bare
+    }
+
+    /// Returns the scene with all sizes and distances multiplied by `factor`, about the mean position of the dynamic bodies.
+    /// Bodies keep their contacts and their densities. Visual meshes and textures are not kept.
+    pub fn scaled(&self, factor: f64) -> Self {
+        let mut scaled = self.without_pictures();
+        let dynamic = || scaled.bodies.iter().filter(|b| b.kind == BodyKind::Dynamic);
+        let sum: DVec3 = dynamic().map(|b| b.x_wb.translation).sum();
+        let center_w = sum / dynamic().count().max(1) as f64;
+        for body in &mut scaled.bodies {
+            body.x_wb.translation = center_w + (body.x_wb.translation - center_w) * factor;
+            body.shape.scale(factor);
+            body.mass = body.mass.map(|was| {
+                let (mass, com) = (was.mass() * factor.powi(3), was.com() * factor);
+                // A positive multiple of a valid inertia is valid.
+                MassProperties::new(mass, com, was.inertia() * factor.powi(5)).unwrap_or(was)
+            });
+        }
+        scaled
     }
 
     /// Returns the index of the body of this name.

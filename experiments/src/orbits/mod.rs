@@ -42,6 +42,7 @@ pub fn refine_orbit(
         faces_before: box_errors(orbit, &poses_of(&given)),
         faces: box_errors(orbit, &refined_poses),
         is_improved: refined.report.verdict == PoseVerdict::Refined && refined.report.judgement.improved(),
+        is_refused: refined.report.common_mode.is_some_and(|mode| !mode.is_allowed()),
         sigmas: refined.report.size.as_ref().map(Sigmas::of).unwrap_or_default(),
         seconds,
     })

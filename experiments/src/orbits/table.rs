@@ -22,6 +22,8 @@ pub struct OrbitRow {
     pub sigmas: Sigmas,
     /// Whether the refined poses are judged better.
     pub is_improved: bool,
+    /// Whether a change that many frames share exceeds the noise of the given poses.
+    pub is_refused: bool,
     /// Time of the refinement.
     pub seconds: f64,
 }
@@ -68,12 +70,13 @@ fn mean_and_rms(values: impl Iterator<Item = f64>) -> (f64, f64) {
 }
 
 /// Figures of each scene and fault, in the order of [`COLUMNS`].
-fn figures(rows: &[&OrbitRow]) -> [(&'static str, f64); 13] {
+fn figures(rows: &[&OrbitRow]) -> [(&'static str, f64); 14] {
     let of = |f: fn(&OrbitRow) -> f64| mean_and_rms(rows.iter().map(|r| f(r)));
     let (scale_bias, scale_rms) = of(|r| r.scale - 1.0);
     let (width_bias_m, width_rms_m) = of(|r| r.faces.width_m);
     let (depth_bias_m, depth_rms_m) = of(|r| r.faces.depth_m);
-    let improved = rows.iter().filter(|r| r.is_improved).count() as f64 / rows.len().max(1) as f64;
+    let share =
+        |is: fn(&OrbitRow) -> bool| rows.iter().filter(|r| is(r)).count() as f64 / rows.len().max(1) as f64;
     // The share of the errors within the stated 90 % intervals, of scale, width and depth together.
     let stated = rows.iter().flat_map(|r| {
         let s = r.sigmas;
@@ -97,7 +100,8 @@ fn figures(rows: &[&OrbitRow]) -> [(&'static str, f64); 13] {
         ("depth_rms_m", depth_rms_m),
         ("depth_sigma_m", sigma(|s| s.depth_m)),
         ("coverage", coverage),
-        ("improved_share", improved),
+        ("improved_share", share(|r| r.is_improved)),
+        ("refused_share", share(|r| r.is_refused)),
         ("seconds", of(|r| r.seconds).0),
     ]
 }
@@ -116,7 +120,7 @@ pub fn orbit_metrics(rows: &[OrbitRow]) -> Metrics {
 }
 
 /// Headings of [`figures`], with the factor to the shown unit, the digits and the unit.
-const COLUMNS: [(&str, f64, usize, &str); 13] = [
+const COLUMNS: [(&str, f64, usize, &str); 14] = [
     ("scale bias", 1e2, 3, " %"),
     ("rms", 1e2, 3, " %"),
     ("σ", 1e2, 3, " %"),
@@ -129,6 +133,7 @@ const COLUMNS: [(&str, f64, usize, &str); 13] = [
     ("σ", 1e3, 2, " mm"),
     ("in 90 %", 1e2, 0, " %"),
     ("better", 1e2, 0, " %"),
+    ("refused", 1e2, 0, " %"),
     ("s", 1.0, 1, ""),
 ];
 
@@ -159,6 +164,7 @@ mod tests {
             faces: BoxErrors { width_m, depth_m: 0.0 },
             sigmas: Sigmas { scale: Some(0.01), width_m: Some(0.001), depth_m: None },
             is_improved: width_m > 0.0,
+            is_refused: width_m < 0.0,
             seconds: 2.0,
         };
         let rows = [
@@ -168,7 +174,8 @@ mod tests {
         ];
         let m = orbit_metrics(&rows);
         let n = |key: &str| m.number(&format!("bench.orbits.box.drift.{key}")).unwrap();
-        assert_eq!((n("n"), n("improved_share"), n("seconds")), (2.0, 0.5, 2.0));
+        assert_eq!((n("n"), n("seconds")), (2.0, 2.0));
+        assert_eq!((n("improved_share"), n("refused_share")), (0.5, 0.5));
         assert!(n("scale_bias").abs() < 1e-12 && (n("scale_rms") - 0.01).abs() < 1e-12);
         assert!((n("width_bias_m") - 0.001).abs() < 1e-12);
         assert!((n("width_rms_m") - 5f64.sqrt() * 1e-3).abs() < 1e-12);

@@ -23,6 +23,9 @@ use sms_poses::{PosesConfig, PosesMode};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+/// File of the report on the camera poses, in the folder of the frames.
+pub(super) const POSES: &str = "poses.json";
+
 /// Options of a scan that are not settings of a stage, or override these.
 #[derive(Debug, Clone, Default)]
 pub struct ScanRequest {
@@ -161,7 +164,7 @@ impl Run<'_> {
         let dir = run_stage(self.context, run, "frames", &hash, |stage, warnings| {
             let made = frames(recording, &settings.frames, self.context.stage(warnings, request.seed()))?;
             if let Some(report) = &made.poses {
-                atomic::write_json(&stage.dir().join("poses.json"), report)?;
+                atomic::write_json(&stage.dir().join(POSES), report)?;
                 self.context.message(report.summary());
             }
             made.sequence.save_with_settings(stage.dir(), load)?;
