@@ -2,36 +2,7 @@
 
 use glamx::{DPose3, DQuat, DVec3};
 use rayon::prelude::*;
-use sms_core::symmetric_eigen;
 use sms_eval::TrueSurface;
-
-/// Returns the rigid motion `x_ab` that moves points `p_b` closest to their partners `p_a` in the least-squares sense
-/// (Horn 1987, "Closed-form solution of absolute orientation using unit quaternions").
-fn absolute_orientation(p_a: &[DVec3], p_b: &[DVec3]) -> DPose3 {
-    let n = p_a.len().min(p_b.len());
-    if n == 0 {
-        return DPose3::identity();
-    }
-    let mean = |p: &[DVec3]| p[..n].iter().copied().sum::<DVec3>() / n as f64;
-    let (a0, b0) = (mean(p_a), mean(p_b));
-    let mut s = [[0.0; 3]; 3];
-    for (a, b) in p_a.iter().zip(p_b) {
-        let (a, b) = ((*a - a0).to_array(), (*b - b0).to_array());
-        (0..3).for_each(|i| (0..3).for_each(|j| s[i][j] += b[i] * a[j]));
-    }
-    let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = s;
-    let matrix = [
-        [xx + yy + zz, yz - zy, zx - xz, xy - yx],
-        [yz - zy, xx - yy - zz, xy + yx, zx + xz],
-        [zx - xz, xy + yx, yy - xx - zz, yz + zy],
-        [xy - yx, zx + xz, yz + zy, zz - xx - yy],
-    ];
-    let (values, vectors) = symmetric_eigen(matrix, 30, 0.0);
-    let best = (0..4).max_by(|&a, &b| values[a].total_cmp(&values[b])).unwrap_or(0);
-    let q = vectors.map(|row| row[best]);
-    let rotation = DQuat::from_xyzw(q[1], q[2], q[3], q[0]).normalize();
-    DPose3::from_parts(a0 - rotation * b0, rotation)
-}
 
 /// Improves `x_tw` by moving points (in `W`, each with the index of its surface) onto true surfaces: iterated
 /// point-to-plane steps on the nearest 90 % of at most 20 000 points.
@@ -109,15 +80,6 @@ fn solve(mut a: [[f64; 6]; 6], mut b: [f64; 6]) -> Option<[f64; 6]> {
     b.iter().all(|v| v.is_finite()).then_some(b)
 }
 
-/// Returns the alignment `x_tw` of cameras as used (`x_wc`) with the true ones (`x_tc`), from their centres and from
-/// points 1 m in front of them, which add the rotations.
-pub(crate) fn align_cameras(x_tc: &[DPose3], x_wc: &[DPose3]) -> DPose3 {
-    let corners = |poses: &[DPose3]| -> Vec<DVec3> {
-        poses.iter().flat_map(|x| [x.translation, x.transform_point(DVec3::Z)]).collect()
-    };
-    absolute_orientation(&corners(x_tc), &corners(x_wc))
-}
-
 /// Angle (radians) and shift (metres, at the origin) between two poses.
 pub(crate) fn pose_difference(a: &DPose3, b: &DPose3) -> (f64, f64) {
     let d = a.inverse() * *b;
@@ -129,26 +91,6 @@ mod tests {
     use super::*;
     use sms_core::{Mesh, Seed};
     use sms_eval::sample_true_surface;
-
-    fn motion() -> DPose3 {
-        DPose3::from_parts(DVec3::new(0.3, -0.2, 0.1), DQuat::from_scaled_axis(DVec3::new(0.4, -2.0, 1.0)))
-    }
-
-    #[test]
-    fn partners_give_the_motion_exactly() {
-        let p_b: Vec<DVec3> =
-            (0..20).map(|i| DVec3::new((i as f64).sin(), (2.0 * i as f64).cos(), 0.1 * i as f64)).collect();
-        let p_a: Vec<DVec3> = p_b.iter().map(|&p| motion().transform_point(p)).collect();
-        let (turn, shift) = pose_difference(&absolute_orientation(&p_a, &p_b), &motion());
-        assert!(turn < 1e-7 && shift < 1e-12, "{turn} {shift}");
-        // Centres on a line do not determine the rotation about it; the axes of the cameras do.
-        let x_wc: Vec<DPose3> = (0..5)
-            .map(|i| DPose3::from_parts(DVec3::X * i as f64, DQuat::from_rotation_x(0.2 * i as f64)))
-            .collect();
-        let x_tc: Vec<DPose3> = x_wc.iter().map(|x| motion() * *x).collect();
-        let (turn, shift) = pose_difference(&align_cameras(&x_tc, &x_wc), &motion());
-        assert!(turn < 1e-7 && shift < 1e-9, "{turn} {shift}");
-    }
 
     #[test]
     fn surfaces_pull_a_result_into_place_in_spite_of_outliers() {

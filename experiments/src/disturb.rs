@@ -133,6 +133,7 @@ mod tests {
     fn sequence(frames: usize) -> Sequence {
         let k = Intrinsics::from_fov(16, 8, 1.0);
         let frame = |index| Frame {
+            depth_noise: sms_frames::DepthNoise::default(),
             index,
             time_s: None,
             camera: Camera::new(k, DPose3::identity()),

@@ -99,7 +99,8 @@ pub fn prepare(
     };
     options.disturbance.apply(&mut sequence, &options.load, seed);
     let timer = Timer::start();
-    let sequence = stages::refined(sequence, &options.poses, context)?.sequence;
+    let disturbed = FramesRequest { poses: options.poses.clone(), ..as_recorded };
+    let sequence = stages::refined(sequence, &disturbed, context)?.sequence;
     let poses_seconds = timer.seconds();
     let timer = Timer::start();
     let truth = generated(scene)?.map(|made| made.scene);

@@ -1,6 +1,6 @@
 //! One scene: prepared, scanned, measured.
 
-use crate::align::{align_cameras, pose_difference, refine_on_surfaces};
+use crate::align::{pose_difference, refine_on_surfaces};
 use crate::options::BenchOptions;
 use crate::panels::write_panel;
 use crate::prepare::{Prepared, prepare};
@@ -25,6 +25,7 @@ use sms_eval::{
 };
 use sms_gaussians::{CpuTrainer, GaussianModel, TrainConfig, Trainer};
 use sms_pipeline::stages::{self, GaussiansRequest};
+use sms_poses::align_cameras;
 use std::path::Path;
 
 /// The scan's seed; `sms scan` has the same default.
@@ -278,7 +279,7 @@ fn alignment(
     let x_tc: Vec<DPose3> =
         trained.iter().map(|&i| prepared.x_tw() * prepared.true_cameras[i].x_wc).collect();
     let x_wc: Vec<DPose3> = trained.iter().map(|&i| prepared.sequence.frames[i].camera.x_wc).collect();
-    let first = align_cameras(&x_tc, &x_wc);
+    let first = align_cameras(&x_wc, &x_tc);
     let points = disc_points(model, &DPose3::identity(), &DiscSampling::default());
     let on_objects: Vec<(DVec3, usize)> = points
         .iter()

@@ -1,6 +1,6 @@
 //! Somebody else's reconstruction of an exported scene, measured by the same functions as ours.
 
-use crate::align::{align_cameras, refine_on_surfaces};
+use crate::align::refine_on_surfaces;
 use crate::export::{Exported, decode_depth, pose_of_opengl, pose_of_rows, read_export};
 use crate::{BenchError, ShownView};
 use glamx::{DPose3, DVec3};
@@ -10,6 +10,7 @@ use sms_core::{InputError, Mesh, Seed, read_png_color, read_png_gray16};
 use sms_eval::sample_surface;
 use sms_eval::{DepthErrors, mean_iou, psnr_db};
 use sms_eval::{LabelledPoint, SceneScores, UNMATCHED, score_cropped, score_labelled, stray_share};
+use sms_poses::align_cameras;
 use std::path::Path;
 
 /// Points per square metre of sampled meshes, the same as for ours.
@@ -95,7 +96,7 @@ fn alignment(exported: &Exported, points: &[LabelledPoint], labelled: bool) -> D
         .filter(|(i, _)| !held.contains(i))
         .map(|(_, (used, truth))| (pose_of_rows(truth), pose_of_opengl(&used.transform_matrix)))
         .unzip();
-    let first = align_cameras(&x_tc, &x_wc);
+    let first = align_cameras(&x_wc, &x_tc);
     if !labelled {
         return first;
     }

@@ -298,6 +298,7 @@ mod tests {
         let color =
             Image::from_vec(100, 100, (0..10_000).map(|i| quarter(i % 100, i / 100)).collect::<Vec<_>>());
         let frame = Frame {
+            depth_noise: sms_frames::DepthNoise::default(),
             index: 0,
             time_s: None,
             camera,

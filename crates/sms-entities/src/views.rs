@@ -179,6 +179,7 @@ mod tests {
     fn over_plate(cameras: usize, width: usize) -> (Sequence, Labels) {
         let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0, width: 100, height: 100 };
         let frame = |index: usize| Frame {
+            depth_noise: sms_frames::DepthNoise::default(),
             index,
             time_s: None,
             camera: Camera::look_at(intrinsics, DVec3::Z, DVec3::ZERO, DVec3::Y),

@@ -6,7 +6,7 @@
 
 use crate::normals::NORMAL_GRID;
 use crate::rigid::pose_to_rows;
-use crate::{Frame, FramesError, Sequence};
+use crate::{DepthNoise, Frame, FramesError, Sequence};
 use flate2::Compression;
 use flate2::read::ZlibDecoder;
 use flate2::write::ZlibEncoder;
@@ -19,7 +19,7 @@ use sms_core::{
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const MAGIC: &[u8; 16] = b"sms geometry 1\r\n";
 
 #[derive(Serialize, Deserialize)]
@@ -42,6 +42,7 @@ struct FrameEntry {
     color_path: PathBuf,
     mask_path: Option<PathBuf>,
     camera: Camera,
+    depth_noise: DepthNoise,
 }
 
 impl Sequence {
@@ -87,6 +88,7 @@ impl Sequence {
                     color_path: f.color_path.clone(),
                     mask_path: f.mask_path.clone(),
                     camera: f.camera,
+                    depth_noise: f.depth_noise,
                 })
                 .collect(),
         };
@@ -121,6 +123,7 @@ impl Sequence {
                 let normal_c =
                     normals_from_bytes(inflate(blocks[2 * i + 1]), k.width, k.height).ok_or_else(damaged)?;
                 Ok(Frame {
+                    depth_noise: entry.depth_noise,
                     index: entry.index,
                     time_s: entry.time_s,
                     camera: entry.camera,
@@ -287,6 +290,7 @@ mod tests {
             glamx::DQuat::from_euler(glamx::EulerRot::XYZ, 0.3, 0.2, 0.7),
         );
         let frame = |index: usize| Frame {
+            depth_noise: DepthNoise { a_m: 1e-3, b_per_m: 2e-3 },
             index,
             time_s: (index > 0).then_some(index as f64 / 30.0),
             camera: Camera::new(k, pose),

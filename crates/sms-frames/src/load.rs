@@ -106,6 +106,7 @@ fn read_frame(recording: &Recording, index: usize, settings: &LoadSettings) -> R
     let normal_c = normals_from_depth(&depth, &intrinsics, &settings.noise, settings.normal_radius);
     let color = undistort_color(&read_color(&recorded.color_path)?, &recorded.color_lens);
     Ok(Frame {
+        depth_noise: settings.noise,
         index,
         time_s: recorded.time_s,
         camera: Camera::new(intrinsics, recorded.x_rc),

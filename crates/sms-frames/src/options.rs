@@ -179,6 +179,8 @@ pub struct LoadSettings {
     pub align: Align,
     /// Depth noise of the sensor.
     pub noise: DepthNoise,
+    /// Whether the depth noise that the differences between frames show takes its place, once the poses were examined.
+    pub estimate_noise: bool,
     /// Half width of the window that a normal is fitted to, in pixels: 2 is 5 × 5.
     pub normal_radius: usize,
 }
@@ -192,6 +194,7 @@ impl Default for LoadSettings {
             max_frames: 0,
             align: Align::Auto,
             noise: DepthNoise::default(),
+            estimate_noise: true,
             normal_radius: 2,
         }
     }

@@ -1,6 +1,8 @@
 //! Loaded sequences: posed frames in one world.
 
+use crate::{DepthNoise, normals_from_depth};
 use glamx::DPose3;
+use rayon::prelude::*;
 use sms_core::{Camera, ColorImage, DepthImage, NormalImage};
 use std::path::PathBuf;
 
@@ -17,6 +19,8 @@ pub struct Frame {
     pub color: ColorImage,
     /// Depth along the camera's z axis in metres, 0 where there is none.
     pub depth: DepthImage,
+    /// Noise of the depth.
+    pub depth_noise: DepthNoise,
     /// Unit normals from depth in the camera frame `C`, facing the camera; zero where unknown.
     pub normal_c: NormalImage,
     /// The colour file this frame came from.
@@ -45,6 +49,15 @@ impl Sequence {
     /// Returns whether there are no frames.
     pub fn is_empty(&self) -> bool {
         self.frames.is_empty()
+    }
+
+    /// Sets the depth noise of all frames, and fits their normals again, to the depth that differs by no more than that.
+    pub fn set_depth_noise(&mut self, noise: DepthNoise, normal_radius: usize) {
+        self.frames.par_iter_mut().for_each(|frame| {
+            frame.depth_noise = noise;
+            frame.normal_c =
+                normals_from_depth(&frame.depth, &frame.camera.intrinsics, &noise, normal_radius);
+        });
     }
 
     /// Returns the indices of the frames trained on when every `holdout`-th frame is held out.

@@ -13,6 +13,7 @@
 //! use sms_gaussians::{CpuTrainer, Preset, ScanConfig, read_ply, scan};
 //! // One grey wall, half a metre away.
 //! let frame = Frame {
+//!     depth_noise: sms_frames::DepthNoise::default(),
 //!     index: 0,
 //!     time_s: None,
 //!     camera: Camera::new(Intrinsics::from_fov(32, 20, 0.6), DPose3::identity()),

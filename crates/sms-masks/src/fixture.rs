@@ -41,6 +41,7 @@ impl Default for Sensor {
 pub(crate) fn blank_sequence(frames: usize, width: usize, height: usize) -> Sequence {
     let camera = Camera::new(Intrinsics::from_fov(width, height, 1.0), DPose3::identity());
     let frame = |index| Frame {
+        depth_noise: sms_frames::DepthNoise::default(),
         index,
         time_s: None,
         camera,

@@ -70,6 +70,7 @@ mod tests {
         let intrinsics = Intrinsics::from_fov(80, 60, 1.0);
         let x_wc = DPose3::from_parts(DVec3::new(x_m, 0.0, 0.0), glamx::DQuat::IDENTITY);
         Frame {
+            depth_noise: sms_frames::DepthNoise::default(),
             index,
             time_s: None,
             camera: Camera::new(intrinsics, x_wc),

@@ -286,11 +286,6 @@ fn merge(base: &mut toml::Value, overrides: &toml::Value) {
     }
 }
 
-/// Returns default settings of the pose refinement, with the depth noise of the frames.
-pub fn poses_defaults(frames: &LoadSettings) -> PosesConfig {
-    PosesConfig { noise: frames.noise, ..PosesConfig::default() }
-}
-
 /// Returns the default settings with the server and model of the environment.
 pub fn vlm_defaults() -> VlmConfig {
     let named = |key: &str| std::env::var(key).map(|v| v.trim().to_owned()).unwrap_or_default();
@@ -394,9 +389,9 @@ mod tests {
         }
         let message = refusal("[scan]\nbatch_steps = 0\n", &["plan.starts=5"]);
         assert!(message.contains("`scan.batch_steps` is 0") && message.contains("mine.toml"), "{message}");
-        let message = refusal("[scan]\nbatch_steps = 5\n", &["scan.noise={a_m = -1.0}"]);
+        let message = refusal("[scan]\nbatch_steps = 5\n", &["scan.seeding={spacing_px = -1.0}"]);
         assert!(
-            message.contains("`scan.noise.a_m` is -1") && message.contains("--set scan.noise"),
+            message.contains("`scan.seeding.spacing_px` is -1") && message.contains("--set scan.seeding"),
             "{message}"
         );
     }

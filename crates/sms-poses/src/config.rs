@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
-use sms_frames::DepthNoise;
 
 /// Condition for the use of refined poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -28,9 +27,6 @@ pub enum PosesMode {
 pub struct PosesConfig {
     /// Whether poses are refined, and when the result is used.
     pub mode: PosesMode,
-    /// Depth noise of the sensor. It determines the weight of depth relative to colour, and of both relative to the
-    /// given poses.
-    pub noise: DepthNoise,
     /// Standard deviation of the given camera positions per axis, with which the estimate of their noise begins.
     pub prior_position_m: f64,
     /// That of the given camera rotations per axis.
@@ -81,7 +77,6 @@ impl Default for PosesConfig {
     fn default() -> Self {
         Self {
             mode: PosesMode::default(),
-            noise: DepthNoise::default(),
             prior_position_m: 0.015,
             prior_rotation_rad: 1f64.to_radians(),
             prior_hand_eye_m: 0.015,
@@ -110,7 +105,6 @@ impl PosesConfig {
     /// [`InputError`] that names the first key out of range and the allowed range.
     pub fn validate(&self) -> Result<(), InputError> {
         let r = Ranges::of("poses");
-        self.noise.validate("poses", "noise.")?;
         r.within("prior_position_m", self.prior_position_m, 1e-6, 10.0)?;
         r.within("prior_rotation_rad", self.prior_rotation_rad, 1e-6, 3.0)?;
         r.within("prior_hand_eye_m", self.prior_hand_eye_m, 0.0, 1.0)?;

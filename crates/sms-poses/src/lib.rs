@@ -61,12 +61,12 @@ mod residual;
 mod size;
 mod views;
 
-pub use align::align_rigidly;
+pub use align::{align_cameras, align_rigidly};
 pub use config::{PosesConfig, PosesMode};
 pub use judge::{Consistency, Gain, Judgement};
 pub use modes::{CommonMode, ModeKind};
 pub use odometry::{Trajectory, track_cameras};
-pub use report::{GivenSigma, HandEye, PoseCorrection, PoseReport, PoseVerdict};
+pub use report::{GivenSigma, HandEye, PoseCorrection, PoseOrigin, PoseReport, PoseVerdict};
 pub use size::{ExtentUncertainty, SizeUncertainty};
 
 use glamx::DPose3;
@@ -153,6 +153,7 @@ pub fn refine_poses(
         .collect();
     let finite = corrections.iter().all(|c| c.shift_m.is_finite() && c.turn_rad.is_finite());
     let mut report = PoseReport {
+        origin: PoseOrigin::Recorded,
         verdict: PoseVerdict::Refined,
         prospect: prospect.map(|p| p.gain),
         pairs: problem.graph.pairs.len(),
@@ -175,7 +176,7 @@ pub fn refine_poses(
     } else if config.mode.is_judged() && common_mode.is_some_and(|mode| !mode.is_allowed()) {
         report.verdict = PoseVerdict::CommonChange;
     }
-    progress.end(&report.summary());
+    progress.end(&format!("{iterations} iterations"));
     let far = frames_far_off(&deviations, &given_sigma);
     warn(&report, config, &problem, &far, warnings);
     let mut sequence = sequence.clone();

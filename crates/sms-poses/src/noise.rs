@@ -19,8 +19,11 @@ const LEAST: usize = 500;
 const SAME_SURFACE: f64 = 0.03;
 /// Least cosine of the incidence: more oblique surfaces have other errors than noise.
 const LEAST_COSINE: f64 = 0.4;
-/// Median of the absolute value of a standard normal number.
-const MEDIAN: f64 = 0.674_489_750_196_082;
+/// The standard deviation is that of the normal distribution with the same quantile: later stages tell surfaces apart by it, so
+/// that it must hold the tails of a sensor's errors, and not only their middle.
+const QUANTILE: f64 = 0.9;
+/// That quantile of the absolute value of a standard normal number.
+const OF_NORMAL: f64 = 1.644_853_626_951_472;
 
 /// Returns the noise that explains the differences between pairs of frames; `None` if too few are comparable.
 pub(crate) fn depth_noise(
@@ -40,9 +43,9 @@ pub(crate) fn depth_noise(
         .into_iter()
         .filter(|(_, differences)| differences.len() >= LEAST)
         .map(|(range, mut differences)| {
-            let middle = differences.len() / 2;
-            let median = *differences.select_nth_unstable_by(middle, f64::total_cmp).1;
-            (RATIO.powf(f64::from(range) + 0.5), median / MEDIAN / std::f64::consts::SQRT_2)
+            let rank = (QUANTILE * differences.len() as f64) as usize;
+            let quantile = *differences.select_nth_unstable_by(rank, f64::total_cmp).1;
+            (RATIO.powf(f64::from(range) + 0.5), quantile / OF_NORMAL / std::f64::consts::SQRT_2)
         })
         .collect();
     fitted(&sigmas)

@@ -368,7 +368,8 @@ impl<'a> BundleAdjustment<'a> {
     pub(crate) fn weighing_after(&self, sums: &[PairSums], before: &Weighing) -> Weighing {
         let mut seen = ResidualStats::default();
         sums.iter().for_each(|pair| seen.merge(&pair.seen));
-        let sigma_m = self.depths_m.iter().map(|z| self.config.noise.sigma_m(*z)).fold(0.0, f64::max);
+        let sigmas_m = self.views.iter().zip(&self.depths_m).map(|(v, z)| v.depth_noise.sigma_m(*z));
+        let sigma_m = sigmas_m.fold(0.0, f64::max);
         before.after(&seen, sigma_m)
     }
 

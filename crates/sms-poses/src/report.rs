@@ -55,6 +55,28 @@ impl GivenSigma {
     }
 }
 
+/// Origin of the poses that a refinement begins with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseOrigin {
+    /// They are those of the recording.
+    #[default]
+    Recorded,
+    /// They were estimated from the images, and moved rigidly to those of the recording.
+    Estimated,
+    /// They were estimated from the images of a recording without poses: their world is that of the first camera.
+    EstimatedAlone,
+}
+
+impl PoseOrigin {
+    fn word(self) -> &'static str {
+        match self {
+            Self::Recorded => "given",
+            Self::Estimated | Self::EstimatedAlone => "estimated",
+        }
+    }
+}
+
 /// The decision on the poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -76,6 +98,9 @@ pub enum PoseVerdict {
 /// Report of a refinement. Corrections and judgement are present even if the given poses were kept.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct PoseReport {
+    /// Origin of the given poses.
+    #[serde(default)]
+    pub origin: PoseOrigin,
     /// The decision on the poses.
     pub verdict: PoseVerdict,
     /// Share by which a refinement promises to reduce the squares of all residuals, to first order; `None` unless `auto`
@@ -171,13 +196,14 @@ impl PoseReport {
     pub fn summary(&self) -> String {
         let noise = self.depth_noise.map(|n| format!("; depth noise {:.1} mm at 1 m", 1e3 * n.sigma_m(1.0)));
         let noise = noise.unwrap_or_default();
+        let origin = self.origin.word();
         let Some((shift, turn)) = self.median_correction() else {
             return match self.verdict {
-                PoseVerdict::NotRequested => "poses as given".to_owned(),
+                PoseVerdict::NotRequested => format!("poses as {origin}"),
                 PoseVerdict::GivenAreAsGood => {
-                    format!("poses as given: the frames agree within their noise{noise}")
+                    format!("poses as {origin}: the frames agree within their noise{noise}")
                 }
-                _ => "poses as given: the frames overlap too little to refine them".to_owned(),
+                _ => format!("poses as {origin}: the frames overlap too little to refine them"),
             };
         };
         let (j, mm) =
@@ -197,9 +223,9 @@ impl PoseReport {
             }
             PoseVerdict::CommonChange => {
                 let change = self.common_mode.map(|mode| mode.summary()).unwrap_or_default();
-                format!("poses kept as given: a refinement by {by} would {change}")
+                format!("poses kept as {origin}: a refinement by {by} would {change}")
             }
-            _ => format!("poses kept as given: a refinement by {by} was no improvement ({residuals})"),
+            _ => format!("poses kept as {origin}: a refinement by {by} was no improvement ({residuals})"),
         }
     }
 }

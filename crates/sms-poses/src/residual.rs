@@ -305,6 +305,7 @@ mod tests {
         let luma = vec![Image::from_vec(48, 32, (0..48 * 32).map(wave).collect())];
         PreparedFrame {
             intrinsics,
+            depth_noise: sms_frames::DepthNoise::default(),
             depth: vec![DepthSample::default(); 48 * 32],
             directions: vec![Direction::default(); 48 * 32],
             luma,

@@ -5,7 +5,7 @@ use crate::luma::{Luma, half, luma, sample};
 use glamx::{DVec3, Vec3};
 use rayon::prelude::*;
 use sms_core::Intrinsics;
-use sms_frames::{Frame, Sequence, normals_from_depth};
+use sms_frames::{DepthNoise, Frame, Sequence, normals_from_depth};
 
 /// Depth at one pixel; `z` is 0 without a measurement.
 #[derive(Debug, Clone, Copy, Default)]
@@ -28,6 +28,8 @@ pub(crate) struct Direction {
 #[derive(Debug)]
 pub(crate) struct PreparedFrame {
     pub(crate) intrinsics: Intrinsics,
+    /// It determines the weight of depth relative to colour, and of both relative to the given poses.
+    pub(crate) depth_noise: DepthNoise,
     /// Depth at each pixel of the loaded size.
     pub(crate) depth: Vec<DepthSample>,
     /// Surface directions that the frame alone shows.
@@ -78,10 +80,10 @@ impl PreparedFrame {
             is_flat: true,
         };
         let k = &frame.camera.intrinsics;
-        let normals = normals_from_depth(&frame.depth, k, &config.noise, config.normal_radius_px);
+        let normals = normals_from_depth(&frame.depth, k, &frame.depth_noise, config.normal_radius_px);
         let mut depth: Vec<DepthSample> = frame.depth.data.iter().map(sample).collect();
         let directions: Vec<Direction> = normals.data.iter().map(direction).collect();
-        set_sigmas(&mut depth, k, config);
+        set_sigmas(&mut depth, k, &frame.depth_noise, config.normal_radius_px);
         let mut finest = luma(&frame.color);
         for _ in 0..halvings {
             finest = half(&finest);
@@ -91,7 +93,14 @@ impl PreparedFrame {
             luma.push(half(&luma[luma.len() - 1]));
         }
         let finest_scale = 2f64.powi(halvings as i32);
-        Self { intrinsics: frame.camera.intrinsics, depth, directions, luma, finest_scale }
+        Self {
+            intrinsics: frame.camera.intrinsics,
+            depth_noise: frame.depth_noise,
+            depth,
+            directions,
+            luma,
+            finest_scale,
+        }
     }
 
     /// Returns the pixels of the loaded size per pixel of a level.
@@ -165,8 +174,8 @@ impl DirectedFrame<'_> {
 
 /// Sets the noise of each measurement from the mean inverse depth of its neighbourhood on the same surface, which is exact
 /// for planes.
-fn set_sigmas(all: &mut [DepthSample], k: &Intrinsics, config: &PosesConfig) {
-    let (w, h, reach) = (k.width as i64, k.height as i64, config.normal_radius_px as i64);
+fn set_sigmas(all: &mut [DepthSample], k: &Intrinsics, noise: &DepthNoise, reach: usize) {
+    let (w, h, reach) = (k.width as i64, k.height as i64, reach as i64);
     let inverse: Vec<f64> = all.iter().map(|s| if s.z > 0.0 { 1.0 / f64::from(s.z) } else { 0.0 }).collect();
     let sigma = |i: usize| {
         let (x, y) = ((i % k.width) as i64, (i / k.width) as i64);
@@ -189,7 +198,7 @@ fn set_sigmas(all: &mut [DepthSample], k: &Intrinsics, config: &PosesConfig) {
                 }
             }
         }
-        config.noise.sigma_m(count / sum) as f32
+        noise.sigma_m(count / sum) as f32
     };
     let sigmas: Vec<f32> = (0..all.len()).map(|i| if all[i].z > 0.0 { sigma(i) } else { 0.0 }).collect();
     all.iter_mut().zip(sigmas).for_each(|(s, sigma)| s.sigma_z_m = sigma);

@@ -124,6 +124,7 @@ mod tests {
         };
         let pixels = || (0..90 * 60).map(|i| at(i % 90));
         let frame = Frame {
+            depth_noise: sms_frames::DepthNoise::default(),
             index: 0,
             time_s: None,
             camera,

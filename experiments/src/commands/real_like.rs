@@ -10,7 +10,7 @@ use sms_experiments::{
     real_like_scenes, real_like_table, run_real_like,
 };
 use sms_pipeline::Device;
-use sms_pipeline::settings::poses_defaults;
+use sms_poses::PosesConfig;
 use sms_synth::Sensor;
 use std::path::PathBuf;
 
@@ -98,7 +98,7 @@ fn options(console: &Console, a: &RealLikeArguments, sensor: Sensor) -> anyhow::
     let (frames, width) = if a.quick { (3 * HOLDOUT, 640) } else { (FRAMES, 0) };
     let base = with_settings(console, base)?;
     // As `sms scan`, which refines poses where that helps.
-    let poses = console.context.settings.section("poses", poses_defaults(&base.load))?;
+    let poses = console.context.settings.section("poses", PosesConfig::default())?;
     Ok(MaterializeOptions {
         bench: BenchOptions { frames, width, sensor, poses, ..base },
         masks: MaskChoice::Geometry,

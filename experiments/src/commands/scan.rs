@@ -13,8 +13,7 @@ use sms_experiments::{
     parse_length_m, parse_pose_noise, part_of, prepare, run_scene, select_scenes, table,
 };
 use sms_pipeline::Device;
-use sms_pipeline::settings::poses_defaults;
-use sms_poses::PosesMode;
+use sms_poses::{PosesConfig, PosesMode};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
@@ -240,7 +239,7 @@ fn options(console: &Console, a: &ScanStudyArguments) -> anyhow::Result<BenchOpt
         return Err(InputError::new("no frame would be held out", "--frames", cure).into());
     }
     let base = with_settings(console, base)?;
-    let mut poses = console.context.settings.section("poses", poses_defaults(&base.load))?;
+    let mut poses = console.context.settings.section("poses", PosesConfig::default())?;
     poses.mode = a.poses.map_or(PosesMode::Given, PosesName::mode);
     Ok(BenchOptions {
         poses,

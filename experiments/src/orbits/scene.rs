@@ -180,6 +180,7 @@ impl Rendered {
             true_depth.push(seen.depth);
             labels.push(seen.label);
             frames.push(Frame {
+                depth_noise: sms_frames::DepthNoise::default(),
                 index,
                 time_s: None,
                 camera,

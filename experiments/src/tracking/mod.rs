@@ -132,12 +132,8 @@ impl TrackingRow {
 
 /// Returns the absolute trajectory error (Sturm et al., IROS 2012), metres.
 fn trajectory_error_m(estimated: &[DPose3], truth: &[DPose3]) -> f64 {
-    let (Some(first), Some(true_first)) = (estimated.first(), truth.first()) else { return f64::NAN };
-    // The alignment of points begins from the identity: the first poses come near it.
-    let begin = *true_first * first.inverse();
     let centers = |poses: &[DPose3]| -> Vec<DVec3> { poses.iter().map(|x| x.translation).collect() };
-    let from: Vec<DVec3> = centers(estimated).into_iter().map(|c| begin.transform_point(c)).collect();
-    let to = centers(truth);
+    let (from, to) = (centers(estimated), centers(truth));
     let fit = align_rigidly(&from, &to);
     let square = |(p, q): (&DVec3, &DVec3)| (fit.transform_point(*p) - *q).length_squared();
     (from.iter().zip(&to).map(square).sum::<f64>() / from.len() as f64).sqrt()

@@ -25,6 +25,7 @@ fn prepared() -> Prepared {
         let view = renderer.render(&camera, &model);
         maps.push(view.label.map(|l| [0, 2, 1][usize::from(*l)]));
         frames.push(Frame {
+            depth_noise: sms_frames::DepthNoise::default(),
             index,
             time_s: None,
             camera,

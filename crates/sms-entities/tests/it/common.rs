@@ -234,6 +234,7 @@ pub fn observe(objects: &[Shape], clutter: &[Shape], how: &Observation, seed: u6
             }
         }
         frames.push(Frame {
+            depth_noise: sms_frames::DepthNoise::default(),
             index: f,
             time_s: None,
             camera,

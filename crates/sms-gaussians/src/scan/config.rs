@@ -153,8 +153,6 @@ pub struct ScanConfig {
     pub correct_labels: bool,
     /// Early stopping.
     pub stop: StopConfig,
-    /// Depth noise of the sensor.
-    pub noise: DepthNoise,
     /// Greatest number of Gaussians.
     pub max_gaussians: usize,
     /// Every `holdout`-th frame is excluded from training and seeding and used to measure quality; 0 for none.
@@ -180,7 +178,6 @@ impl Default for ScanConfig {
             fuse_depth: true,
             correct_labels: true,
             stop: StopConfig::default(),
-            noise: DepthNoise::default(),
             max_gaussians: 60_000,
             holdout: 0,
             checkpoint_seconds: 5.0,
@@ -222,7 +219,7 @@ impl ScanConfig {
     }
 
     /// Returns the least difference in depth at depth `z_m` that separates two surfaces, metres.
-    pub fn tolerance_m(&self, z_m: f64) -> f64 {
-        self.seeding.min_tolerance_m.max(self.seeding.tolerance_sigmas * self.noise.sigma_m(z_m))
+    pub fn tolerance_m(&self, noise: &DepthNoise, z_m: f64) -> f64 {
+        self.seeding.min_tolerance_m.max(self.seeding.tolerance_sigmas * noise.sigma_m(z_m))
     }
 }

@@ -51,7 +51,7 @@ fn voted_labels(
             let Some(pixel) = frame.camera.pixel_at(u, v) else { continue };
             let depth = f64::from(frame.depth[pixel]);
             if depth > 0.0
-                && (depth - z).abs() <= config.tolerance_m(z)
+                && (depth - z).abs() <= config.tolerance_m(&frame.depth_noise, z)
                 && let Some(count) = counts.get_mut(usize::from(labels[pixel]))
             {
                 *count += 1;

@@ -155,6 +155,7 @@ mod tests {
         let mut depth = Image::filled(4, 2, 1.0f32);
         depth[(0, 0)] = 0.0;
         let frame = Frame {
+            depth_noise: sms_frames::DepthNoise::default(),
             index: 5,
             time_s: None,
             camera: Camera::new(k, DPose3::identity()),

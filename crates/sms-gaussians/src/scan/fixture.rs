@@ -104,6 +104,7 @@ pub(crate) fn record(r: Recorded) -> (Sequence, Labels) {
         let normal_c = normals_from_depth(&depth, &k, &DepthNoise::default(), 2);
         maps.push(label_map);
         frames.push(Frame {
+            depth_noise: sms_frames::DepthNoise::default(),
             index,
             time_s: None,
             camera,

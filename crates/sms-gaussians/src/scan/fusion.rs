@@ -110,7 +110,7 @@ fn add_frame(sides: &mut [SideMeasurement; 2], frame: &Frame, disc: &GaussianDis
     let rotation_wc = frame.camera.x_wc.rotation;
     let (x, y) = ((u - 0.5).floor(), (v - 0.5).floor());
     let (fx, fy) = (u - 0.5 - x, v - 0.5 - y);
-    let gate = config.tolerance_m(z);
+    let gate = config.tolerance_m(&frame.depth_noise, z);
     // Computed on demand: most frames do not see the surface.
     let mut precision_and_direction = None;
     for (dx, dy, share) in
@@ -123,7 +123,7 @@ fn add_frame(sides: &mut [SideMeasurement; 2], frame: &Frame, disc: &GaussianDis
             continue;
         }
         let (precision, to_camera) = *precision_and_direction.get_or_insert_with(|| {
-            (config.noise.sigma_m(z).powi(-2), (frame.camera.center_w() - center_w).normalize())
+            (frame.depth_noise.sigma_m(z).powi(-2), (frame.camera.center_w() - center_w).normalize())
         });
         let normal_w = rotation_wc * DVec3::from_array(normal_c.map(f64::from));
         let cosine = normal_w.dot(axis_w);
@@ -181,6 +181,7 @@ mod tests {
         let k = Intrinsics::from_fov(32, 20, 0.3);
         let camera = Camera::look_at(k, DVec3::Z * eye_z_m, DVec3::ZERO, DVec3::Y);
         Frame {
+            depth_noise: sms_frames::DepthNoise::default(),
             index: 0,
             time_s: None,
             camera,

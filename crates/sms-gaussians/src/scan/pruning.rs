@@ -89,7 +89,8 @@ fn sight(frame: &Frame, p_w: Vec3, config: &ScanConfig) -> PointVisibility {
                 continue;
             }
             measured += 1;
-            let (depth, tolerance) = (f64::from(depth), config.tolerance_m(f64::from(depth)));
+            let (depth, tolerance) =
+                (f64::from(depth), config.tolerance_m(&frame.depth_noise, f64::from(depth)));
             if (depth - z).abs() <= tolerance {
                 return PointVisibility::Surface;
             }
@@ -115,6 +116,7 @@ mod tests {
             }
         }
         Frame {
+            depth_noise: sms_frames::DepthNoise::default(),
             index: 0,
             time_s: None,
             camera: Camera::new(k, DPose3::identity()),

@@ -106,7 +106,8 @@ pub(crate) fn seed_frame(
 fn candidates(frame: &Frame, rendered: Option<&RenderedMaps>, config: &ScanConfig) -> Vec<usize> {
     let unexplained = |i: usize, depth: f32| {
         rendered.is_none_or(|maps| {
-            let behind = f64::from(maps.depth[i] - depth) > config.tolerance_m(f64::from(depth));
+            let behind =
+                f64::from(maps.depth[i] - depth) > config.tolerance_m(&frame.depth_noise, f64::from(depth));
             maps.alpha[i] < config.seeding.alpha_below || behind
         })
     };
@@ -141,7 +142,7 @@ fn is_edge(frame: &Frame, i: usize, config: &ScanConfig) -> bool {
         return true;
     }
     let z = frame.depth.data[i];
-    let jump = config.tolerance_m(f64::from(z)) as f32;
+    let jump = config.tolerance_m(&frame.depth_noise, f64::from(z)) as f32;
     [(1, 0), (-1, 0), (0, 1), (0, -1)]
         .into_iter()
         .filter_map(|(dx, dy)| frame.depth.get(x + dx, y + dy))
@@ -166,7 +167,7 @@ fn surface_at(frame: &Frame, i: usize, config: &ScanConfig) -> SeedSurface {
     let normal_c = DVec3::from_array(frame.normal_c.data[i].map(f64::from)).normalize();
     let ray = ray_c(&frame.camera, i);
     let slope = -normal_c.dot(ray);
-    let gate = config.seeding.tolerance_sigmas * config.noise.sigma_m(z) * slope.max(0.1);
+    let gate = config.seeding.tolerance_sigmas * frame.depth_noise.sigma_m(z) * slope.max(0.1);
     let (mut sum, mut count) = (0.0, 0.0);
     for dy in -1..=1i64 {
         for dx in -1..=1i64 {

@@ -56,7 +56,6 @@ impl ScanConfig {
         ] {
             r.within(key, value, low, high)?;
         }
-        self.noise.validate("scan", "noise.")?;
         self.train.validate("scan", "train.")
     }
 }

@@ -38,6 +38,7 @@ fn folder(model: &str) -> tempfile::TempDir {
 
 fn sequence(frames: usize) -> Sequence {
     let frame = |index: usize| Frame {
+        depth_noise: sms_frames::DepthNoise::default(),
         index,
         time_s: None,
         camera: Camera::new(Intrinsics::from_fov(150, 100, 1.0), DPose3::identity()),

@@ -1,5 +1,6 @@
 //! Compares the reconstruction with known models or the ground truth.
 
+use super::poses::refuse_foreign_world;
 use super::status::is_generated;
 use super::{Run, RunSettings};
 use crate::Error;
@@ -41,6 +42,11 @@ impl Run<'_> {
         let set = load_entities(&current_dir(&run, "entities", "materialize")?)?;
         let settings = self.context.settings.section("evaluate", EvaluateSettings::default())?;
         let x_wr = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?.x_world_recording;
+        refuse_foreign_world(
+            &run,
+            "the known objects are placed in the recording's world",
+            "scan with the recorded poses, or with --poses estimate, which moves the estimated poses to the recorded ones",
+        )?;
         let scan = RunSettings::of(&run)?;
         let warnings = Warnings::new();
         let scene = load_scene(&current_dir(&run, "scene", "materialize")?)?;

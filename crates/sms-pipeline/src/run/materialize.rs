@@ -1,7 +1,7 @@
 //! Gaussians → entities → materials → scene.
 
 use super::Run;
-use super::scan::POSES;
+use super::poses::pose_report;
 use super::settings::{RunSettings, regions_hash};
 use crate::Error;
 use crate::cache::{inputs_hash, run_stage};
@@ -13,8 +13,7 @@ use crate::stages::{SceneRequest, entities, entity_metrics, scene, trained_only}
 use crate::vlm::{VlmMode, cached_estimates};
 use sms_core::metrics::Metrics;
 use sms_core::{
-    BACKGROUND, CoreError, Hash, InputError, Labels, MaskSource, RunFolder, Seed, Warnings, atomic,
-    shell_argument,
+    BACKGROUND, Hash, InputError, Labels, MaskSource, RunFolder, Seed, Warnings, atomic, shell_argument,
 };
 use sms_entities::{EntitiesConfig, EntitySet, load_entities, material_queries, save_entities};
 use sms_export::mjcf_text;
@@ -22,7 +21,6 @@ use sms_frames::{ReadOptions, Sequence};
 use sms_gaussians::{read_ply, write_ply};
 use sms_masks::load_labels;
 use sms_materials::{ClassChoice, MaterialTable, ObjectQuery, Overrides, class_choices};
-use sms_poses::PoseReport;
 use sms_scene::{Scene, save_scene};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -101,6 +99,7 @@ impl Run<'_> {
         for (query, estimate) in queries.iter_mut().zip(estimates) {
             query.estimate = estimate;
         }
+        let size = pose_report(&frames_dir)?.and_then(|report| report.size);
         let scene_hash = inputs_hash(&[&hash], &("scene 6", &queries, &overrides, MaterialTable::builtin()))?;
         let scene_dir = run_stage(self.context, &run, "scene", &scene_hash, |stage, warnings| {
             atomic::write_json(&stage.dir().join(QUERIES), &queries)?;
@@ -112,7 +111,7 @@ impl Run<'_> {
                 name: &name,
                 queries: &queries,
                 overrides: Some(&overrides),
-                scale_sigma: scale_sigma(&frames_dir)?,
+                scale_sigma: size.map_or(0.0, |size| size.scale_sigma),
                 x_world_recording: sequence.x_world_recording,
                 fix_restless: labels.source == MaskSource::Geometry,
             };
@@ -127,16 +126,6 @@ impl Run<'_> {
         let materials = class_choices(&objects, &MaterialTable::builtin(), Some(&overrides));
         Ok(MaterializeOutcome { entities: set, materials, scene_dir })
     }
-}
-
-/// Returns the standard deviation of the scene's scale that the camera poses leave; 0 if unknown.
-fn scale_sigma(frames_dir: &Path) -> Result<f64, CoreError> {
-    let path = frames_dir.join(POSES);
-    if !path.is_file() {
-        return Ok(0.0);
-    }
-    let report: PoseReport = atomic::read_json(&path)?;
-    Ok(report.size.map_or(0.0, |size| size.scale_sigma))
 }
 
 /// Refuses labels that the Gaussians were not trained with.

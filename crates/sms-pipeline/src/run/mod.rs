@@ -8,6 +8,7 @@ mod masks;
 mod materialize;
 mod names;
 mod plan;
+mod poses;
 mod recorded;
 mod report;
 mod robot;

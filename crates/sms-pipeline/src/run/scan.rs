@@ -1,6 +1,7 @@
 //! Recording → frames → masks → Gaussians.
 
 use super::Run;
+use super::poses::POSES;
 use super::settings::{RunSettings, SETTINGS, regions_hash};
 use crate::cache::{inputs_hash, run_stage};
 use crate::command_options::record_options;
@@ -9,7 +10,6 @@ use crate::object_names::{EDITS, ObjectNames, follow};
 use crate::preview::{FOUND, FoundBox};
 use crate::resumption::AnnouncedScan;
 use crate::separate::refuse_run_in_recording;
-use crate::settings::poses_defaults;
 use crate::stages::{FramesRequest, GaussiansRequest, frames, gaussians, masks};
 use crate::{Device, Error, MasksSource, device};
 use sms_core::{CoreError, Hash, Hasher, InputError, RunFolder, Seed, Warnings, atomic};
@@ -22,9 +22,6 @@ use sms_materials::Overrides;
 use sms_poses::{PosesConfig, PosesMode};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// File of the report on the camera poses, in the folder of the frames.
-pub(super) const POSES: &str = "poses.json";
 
 /// Options of a scan that are not settings of a stage, or override these.
 #[derive(Debug, Clone, Default)]
@@ -138,7 +135,7 @@ impl Run<'_> {
         if let Some(up) = request.up {
             load.align = Align::Up(up_direction(up)?);
         }
-        let mut poses = given.section("poses", poses_defaults(&load))?;
+        let mut poses = given.section("poses", PosesConfig::default())?;
         poses.mode = request.poses.unwrap_or(poses.mode);
         read.ignore_poses |= poses.mode == PosesMode::Estimate;
         let mut scan = given.section("scan", ScanConfig::preset(request.preset))?;

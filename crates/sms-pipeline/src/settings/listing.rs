@@ -1,7 +1,7 @@
 //! All effective settings: as a commented file for `--settings`, and as values.
 
 use super::keys::{describe, names_in};
-use super::{SECTIONS, Settings, poses_defaults, vlm_defaults};
+use super::{SECTIONS, Settings, vlm_defaults};
 use crate::Error;
 use serde_json::{Map, Value};
 use sms_core::{toml_value, wrapped};
@@ -12,6 +12,7 @@ use sms_gaussians::{Preset, ScanConfig};
 use sms_landing::LandingSettings;
 use sms_masks::GeometryConfig;
 use sms_plan::PlanConfig;
+use sms_poses::PosesConfig;
 use sms_robots::RobotConfig;
 use sms_robots::autopilot::FlightFiles;
 use sms_synth::RecordingSettings;
@@ -32,7 +33,7 @@ pub fn values(settings: &Settings, preset: Preset) -> Result<Map<String, Value>,
             "recording" => serde_json::to_value(settings.section(name, RecordingSettings::default())?)?,
             "read" => serde_json::to_value(settings.section(name, ReadOptions::default())?)?,
             "frames" => serde_json::to_value(&frames)?,
-            "poses" => serde_json::to_value(settings.section(name, poses_defaults(&frames))?)?,
+            "poses" => serde_json::to_value(settings.section(name, PosesConfig::default())?)?,
             "masks" => serde_json::to_value(settings.section(name, GeometryConfig::default())?)?,
             "scan" => serde_json::to_value(settings.section(name, ScanConfig::preset(preset))?)?,
             "entities" => serde_json::to_value(settings.section(name, EntitiesConfig::default())?)?,

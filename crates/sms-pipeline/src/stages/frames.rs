@@ -1,6 +1,6 @@
 //! Recording → frames.
 
-use super::tracking::with_estimated_poses;
+use super::tracking::{EstimatedPoses, with_estimated_poses};
 use crate::Error;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, StageContext};
@@ -50,31 +50,42 @@ pub fn frames(
         .transpose()?;
     let sequence = match &estimated {
         // The frames were selected before.
-        Some((posed, _)) => {
+        Some(EstimatedPoses { recording: posed, .. }) => {
             let all = LoadSettings { first: 0, stride: 1, max_frames: 0, ..request.load.clone() };
             load(posed, &all, context)?
         }
         None => load(recording, &request.load, context)?,
     };
-    let mut frames = refined(sequence, &request.poses, context)?;
+    let mut frames = refined(sequence, request, context)?;
     frames.metrics.merge(checked);
-    if let Some((_, tracking)) = estimated {
-        frames.metrics.merge(tracking);
+    if let Some(EstimatedPoses { origin, metrics, .. }) = estimated {
+        frames.metrics.merge(metrics);
+        if let Some(report) = &mut frames.poses {
+            report.origin = origin;
+        }
     }
     Ok(frames)
 }
 
-/// Refines the poses of loaded frames, unless the mode is `given`.
+/// Refines the poses of loaded frames, unless the mode is `given`, and gives the frames the depth noise that they show.
 ///
 /// # Errors
 /// As [`refine_poses`].
-pub fn refined(sequence: Sequence, config: &PosesConfig, context: StageContext<'_>) -> Result<Frames, Error> {
+pub fn refined(
+    sequence: Sequence,
+    request: &FramesRequest,
+    context: StageContext<'_>,
+) -> Result<Frames, Error> {
+    let FramesRequest { load, poses: config, .. } = request;
     let mut metrics = Metrics::new();
     if config.mode == PosesMode::Given {
         return Ok(Frames { sequence, poses: None, metrics });
     }
     let began = Instant::now();
-    let refined = refine_poses(&sequence, config, context)?;
+    let mut refined = refine_poses(&sequence, config, context)?;
+    if let Some(noise) = refined.report.depth_noise.filter(|_| load.estimate_noise) {
+        refined.sequence.set_depth_noise(noise, load.normal_radius);
+    }
     metrics.merge(refined.report.metrics());
     metrics.set("poses.seconds", began.elapsed().as_secs_f64());
     Ok(Frames { sequence: refined.sequence, poses: Some(refined.report), metrics })

@@ -1,10 +1,13 @@
 //! Recording without poses → recording with estimated poses.
 
 use crate::Error;
+use glamx::DPose3;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, StageContext, Warnings};
-use sms_frames::{LoadSettings, Recording, load_frame};
-use sms_poses::{PosesConfig, Trajectory, track_cameras};
+use sms_frames::{Align, LoadSettings, ReadOptions, Recording, load_frame};
+use sms_poses::{PoseOrigin, PosesConfig, Trajectory, align_cameras, track_cameras};
+use std::collections::BTreeMap;
+use std::path::Path;
 use std::time::Instant;
 
 /// Longer image side of tracked frames, pixels: twice the pixels would take four times as long.
@@ -12,18 +15,37 @@ const LONG_SIDE: usize = 320;
 /// Most frames that a warning names.
 const MOST_NAMED: usize = 8;
 
+/// A recording with estimated poses.
+#[derive(Debug, Clone)]
+pub struct EstimatedPoses {
+    /// The recording.
+    pub recording: Recording,
+    /// Whether the poses are in the world of recorded ones.
+    pub origin: PoseOrigin,
+    /// Metrics `poses.*`.
+    pub metrics: Metrics,
+}
+
 /// Estimates the poses of the selected frames from their images. Frames that are not selected, or whose pose is not found, are
-/// left out.
+/// left out. If the recording holds poses, the estimated ones are moved rigidly to them, so that its world stays the same.
 ///
 /// # Errors
-/// [`Error::Input`] if there are no two frames that fit together, or a file is missing or damaged; an interruption.
+/// [`Error::Input`] if there are no two frames that fit together, if a file is missing or damaged, or if the world is to be taken
+/// as recorded, but no poses are; an interruption.
 pub fn with_estimated_poses(
     recording: &Recording,
     load: &LoadSettings,
     config: &PosesConfig,
     context: StageContext<'_>,
-) -> Result<(Recording, Metrics), Error> {
+) -> Result<EstimatedPoses, Error> {
     let began = Instant::now();
+    let recorded = recorded_poses(recording);
+    if recorded.is_none() && load.align == Align::None {
+        let what = "`frames.align = \"none\"` takes the recording's world as it is, but the recording has no camera poses";
+        return Err(
+            InputError::new(what, &recording.root, "leave it out, or state the up direction: --up").into()
+        );
+    }
     let settings = LoadSettings { long_side: LONG_SIDE, ..load.clone() };
     // Frames that are not selected are followed, too: the camera moves less between them.
     let end = match load.max_frames {
@@ -46,11 +68,29 @@ pub fn with_estimated_poses(
     metrics.set("poses.keyframes", found.keyframes as f64);
     metrics.set("poses.loops", found.loops as f64);
     metrics.set("poses.tracking_seconds", began.elapsed().as_secs_f64());
-    let mut selected = vec![None; recording.frames.len()];
+    let origin = if recorded.is_some() { PoseOrigin::Estimated } else { PoseOrigin::EstimatedAlone };
+    let mut selected: Vec<Option<DPose3>> = vec![None; recording.frames.len()];
     for k in (0..count).step_by(load.stride.max(1)) {
         selected[first + k] = found.poses[k];
     }
-    Ok((recording.clone().with_poses(&selected), metrics))
+    if let Some(recorded) = recorded {
+        let both = selected.iter().zip(recorded).filter_map(|(found, given)| (*found).zip(given));
+        let (found, given): (Vec<DPose3>, Vec<DPose3>) = both.unzip();
+        let moved = align_cameras(&found, &given);
+        selected.iter_mut().flatten().for_each(|x| *x = moved * *x);
+    }
+    Ok(EstimatedPoses { recording: recording.clone().with_poses(&selected), origin, metrics })
+}
+
+/// Returns the poses that the files of a recording hold, for each of its frames; `None` if they hold none that can be read, or fewer
+/// than three: two do not determine the world.
+fn recorded_poses(recording: &Recording) -> Option<Vec<Option<DPose3>>> {
+    let options = ReadOptions { ignore_poses: false, ..recording.options.clone() };
+    let posed = Recording::open(&recording.root, &options).ok().filter(|r| r.has_poses)?;
+    let of: BTreeMap<&Path, DPose3> = posed.frames.iter().map(|f| (&*f.color_path, f.x_rc)).collect();
+    let poses: Vec<Option<DPose3>> =
+        recording.frames.iter().map(|f| of.get(&*f.color_path).copied()).collect();
+    (poses.iter().flatten().count() >= 3).then_some(poses)
 }
 
 fn warn(found: &Trajectory, first: usize, warnings: &Warnings) {

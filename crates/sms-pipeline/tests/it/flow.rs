@@ -11,10 +11,9 @@ use sms_pipeline::stages::{
 };
 use sms_pipeline::{
     Context, Event, EventSink, Format, MaterializeRequest, PlanRequest, PlannedTask, RobotPlace, Run,
-    ScanRequest, Settings, settings, strike_task_of, write_task_files,
+    ScanRequest, Settings, strike_task_of, write_task_files,
 };
 use sms_plan::PlanConfig;
-use sms_poses::PosesMode;
 use sms_scene::{Scene, load_scene};
 use sms_synth::{BilliardsSettings, RecordingSettings, TruthScene, generate_billiards, write_recording};
 use std::path::Path;
@@ -82,7 +81,7 @@ fn without_cache(recording: &Path, truth: &TruthScene, work_dir: &Path) -> (Scen
     let (cancel, warnings) = (Cancel::new(), Warnings::new());
     let context = StageContext::quiet(&cancel, &warnings);
     let load = LoadSettings { long_side: Preset::Draft.long_side(), ..LoadSettings::default() };
-    let poses = sms_poses::PosesConfig { mode: PosesMode::Given, ..settings::poses_defaults(&load) };
+    let poses = sms_poses::PosesConfig::default();
     let read = ReadOptions::default();
     let opened = Recording::open(recording, &read).unwrap();
     let frames_request = FramesRequest { load, poses, accept_faults: false };

@@ -1,11 +1,11 @@
 //! Recordings without camera poses.
 
+use glamx::DVec3;
 use sms_core::{Cancel, NoProgress, Seed, StageContext, Warnings};
-use sms_frames::{LoadSettings, ReadOptions, Recording};
+use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence};
 use sms_pipeline::Error;
-use sms_pipeline::settings;
 use sms_pipeline::stages::{FramesRequest, frames};
-use sms_poses::{PosesConfig, PosesMode};
+use sms_poses::{PoseOrigin, PosesConfig, PosesMode};
 use sms_synth::{BilliardsSettings, RecordingSettings, generate_billiards, write_recording};
 
 #[test]
@@ -21,7 +21,7 @@ fn poses_are_estimated_where_there_are_none() {
     let without = Recording::open(dir.path(), &ignored).unwrap();
     let load = LoadSettings { long_side: 160, ..LoadSettings::default() };
     let request = |mode| FramesRequest {
-        poses: PosesConfig { mode, ..settings::poses_defaults(&load) },
+        poses: PosesConfig { mode, ..PosesConfig::default() },
         load: load.clone(),
         accept_faults: false,
     };
@@ -31,14 +31,32 @@ fn poses_are_estimated_where_there_are_none() {
     }
     let estimated = frames(&without, &request(PosesMode::Auto), context).unwrap();
     assert_eq!(estimated.metrics.number("poses.lost_frames"), Some(0.0));
-    // Distances between cameras do not depend on the world.
+    assert_eq!(estimated.poses.unwrap().origin, PoseOrigin::Estimated);
+    // The files hold poses, so the estimated ones are in their world.
     let truth = frames(&given, &request(PosesMode::Given), context).unwrap().sequence;
-    let centers =
-        |s: &sms_frames::Sequence| -> Vec<_> { s.frames.iter().map(|f| f.camera.x_wc.translation).collect() };
+    let centers = |s: &Sequence| -> Vec<DVec3> {
+        let x_rw = s.x_world_recording.inverse();
+        s.frames.iter().map(|f| x_rw.transform_point(f.camera.x_wc.translation)).collect()
+    };
     let (found, expected) = (centers(&estimated.sequence), centers(&truth));
     assert_eq!(found.len(), expected.len());
-    for k in 1..found.len() {
-        let off_m = found[k].distance(found[0]) - expected[k].distance(expected[0]);
-        assert!(off_m.abs() < 0.01, "frame {k}: {off_m}");
+    for k in 0..found.len() {
+        let off_m = found[k].distance(expected[k]);
+        assert!(off_m < 0.01, "frame {k}: {off_m}");
     }
+
+    // Without poses in the files, there is no world that could be taken as it is.
+    let path = dir.path().join("transforms.json");
+    let mut file: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    for frame in file["frames"].as_array_mut().unwrap() {
+        frame.as_object_mut().unwrap().remove("transform_matrix").unwrap();
+    }
+    std::fs::write(&path, file.to_string()).unwrap();
+    let without = Recording::open(dir.path(), &ReadOptions::default()).unwrap();
+    let alone = frames(&without, &request(PosesMode::Auto), context).unwrap();
+    assert_eq!(alone.poses.unwrap().origin, PoseOrigin::EstimatedAlone);
+    let request = request(PosesMode::Auto);
+    let as_it_is = LoadSettings { align: Align::None, ..load.clone() };
+    let refused = frames(&without, &FramesRequest { load: as_it_is, ..request }, context);
+    assert!(matches!(refused, Err(Error::Input(_))));
 }

@@ -77,9 +77,8 @@ pub(super) fn motion_by_features(a: &[Feature], b: &[Feature], seed: Seed) -> Op
         if inliers.len() < LEAST_INLIERS {
             return None;
         }
-        let near: Vec<DVec3> = inliers.iter().map(|&k| x_ab.transform_point(from[k])).collect();
-        let targets: Vec<DVec3> = inliers.iter().map(|&k| to[k]).collect();
-        x_ab = align_rigidly(&near, &targets) * x_ab;
+        let of = |points: &[DVec3]| -> Vec<DVec3> { inliers.iter().map(|&k| points[k]).collect() };
+        x_ab = align_rigidly(&of(&from), &of(&to));
     }
     Some(x_ab)
 }

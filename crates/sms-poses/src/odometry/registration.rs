@@ -42,7 +42,7 @@ impl TrackedView {
         let n = coarse.len().max(1) as f64;
         let center_c = coarse.iter().map(|p| p.p_c).sum::<DVec3>() / n;
         let square = coarse.iter().map(|p| (p.p_c - center_c).length_squared()).sum::<f64>() / n;
-        let sigma_z_m = config.noise.sigma_m(center_c.z);
+        let sigma_z_m = frame.depth_noise.sigma_m(center_c.z);
         let features = features(&frame, config.color_sigma);
         Self { features, points, center_c, arm_m: square.sqrt(), sigma_z_m, frame }
     }
