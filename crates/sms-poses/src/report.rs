@@ -192,6 +192,38 @@ impl PoseReport {
         m
     }
 
+    /// Returns the errors of depth, colour and poses for people, a line each; empty if no frames could be compared. The depth noise
+    /// is told for the given depths, metres, and the shift of the colour in pixels of which `pixel_scale` are one loaded pixel.
+    pub fn sensor_lines(&self, depths_m: [f64; 2], pixel_scale: f64) -> Vec<String> {
+        if self.pairs == 0 || self.verdict == PoseVerdict::NotPossible {
+            return Vec::new();
+        }
+        let mut lines = Vec::new();
+        if let Some(noise) = &self.depth_noise {
+            let at = |z: f64| format!("{:.1} mm at {z:.2} m", 1e3 * noise.sigma_m(z));
+            let [near, far] = depths_m.map(at);
+            lines.push(format!("depth noise       {near}, {far}"));
+        }
+        let [du, dv] = self.color_shift_px.map(|v| pixel_scale * v);
+        // A shift that the images do not show is held near zero.
+        lines.push(if du.hypot(dv) < 0.05 {
+            "colour            no shift against the depth is seen".to_owned()
+        } else {
+            format!("colour            {du:+.1}, {dv:+.1} pixels (right, down) beside the depth")
+        });
+        if let (Some(sigma), Some(common)) = (&self.given_sigma, &self.hand_eye) {
+            let length = |v: [f64; 3]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+            lines.push(format!(
+                "pose noise        ±{:.1} mm, ±{:.2}° each; a correction that all share: {:.1} mm, {:.2}°",
+                1e3 * sigma.position_m,
+                sigma.rotation_rad.to_degrees(),
+                1e3 * length(common.shift_m),
+                length(common.turn_rad).to_degrees()
+            ));
+        }
+        lines
+    }
+
     /// Returns a summary in one line.
     pub fn summary(&self) -> String {
         let noise = self.depth_noise.map(|n| format!("; depth noise {:.1} mm at 1 m", 1e3 * n.sigma_m(1.0)));

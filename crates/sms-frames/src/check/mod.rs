@@ -14,7 +14,7 @@ use overlap::{DepthSamples, median};
 use rayon::prelude::*;
 use readings::CheckData;
 use sms_core::{Cancel, Image, Progress, read_color};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Depth pixels held in memory at once.
@@ -28,6 +28,8 @@ const GAPS: [usize; 2] = [1, 4];
 struct Scanned {
     valid: usize,
     pixels: usize,
+    /// Lengths of the gaps along its rows, pixels.
+    gaps: Vec<usize>,
     /// A sample of the valid depths, metres.
     depths: Vec<f64>,
     raw: Option<Image<u16>>,
@@ -100,6 +102,7 @@ pub fn check(
         depth_unit_m: recording.depth_unit_m,
         pixel_center: recording.pixel_center,
         valid_depth_share: valid as f64 / pixels.max(1) as f64,
+        depth_gap_px: middle_gap(scanned.iter().flat_map(|s| &s.gaps)),
         depth_range_m: [quantile(0.01), quantile(0.5), quantile(0.99)],
         pose_rounding: recording.frames.iter().fold(0.0, |m, f| m.max(f.pose_rounding)),
         camera_path_m: recording
@@ -137,6 +140,21 @@ fn bases(recording: &Recording) -> Vec<usize> {
     selected_frames(recording, &crate::LoadSettings { stride, ..crate::LoadSettings::default() })
 }
 
+/// Returns the length of the gap that the median pixel without depth lies in; 0 without such pixels.
+fn middle_gap<'a>(lengths: impl Iterator<Item = &'a usize>) -> usize {
+    let mut pixels: BTreeMap<usize, usize> = BTreeMap::new();
+    lengths.for_each(|&length| *pixels.entry(length).or_default() += length);
+    let all: usize = pixels.values().sum();
+    let mut below = 0;
+    for (length, count) in pixels {
+        below += count;
+        if 2 * below >= all {
+            return length;
+        }
+    }
+    0
+}
+
 fn scan_frame(recording: &Recording, index: usize, keep: bool) -> Result<Scanned, FramesError> {
     let frame = &recording.frames[index];
     read_color(&frame.color_path)?;
@@ -146,10 +164,14 @@ fn scan_frame(recording: &Recording, index: usize, keep: bool) -> Result<Scanned
         // The reader's message names the file and the cure.
         recording.read_depth_m(index)?;
     }
+    let mut gaps = Vec::new();
+    for row in raw.data.chunks_exact(raw.width.max(1)) {
+        gaps.extend(row.split(|&v| v > 0).map(<[u16]>::len).filter(|&length| length > 0));
+    }
     let stride = (valid / 500).max(1);
     let unit = recording.depth_unit_m;
     let depths = raw.data.iter().filter(|&&v| v > 0).step_by(stride).map(|&v| f64::from(v) * unit).collect();
-    Ok(Scanned { valid, pixels: raw.data.len(), depths, raw: keep.then_some(raw) })
+    Ok(Scanned { valid, pixels: raw.data.len(), gaps, depths, raw: keep.then_some(raw) })
 }
 
 /// Adds findings on the recording's quality, which other conventions would not cure.
@@ -208,5 +230,18 @@ fn judge_quality(data: &CheckData<'_>, report: &mut CheckReport) {
                 "the scan corrects poses by default if that helps; or register depth to the colour camera",
             );
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_middle_gap_counts_pixels_and_not_gaps() {
+        assert_eq!(middle_gap([].iter()), 0);
+        // 30 single pixels, and 70 pixels in gaps of 20 to 30.
+        let lengths: Vec<usize> = std::iter::repeat_n(1, 30).chain([20, 20, 30]).collect();
+        assert_eq!(middle_gap(lengths.iter()), 20);
     }
 }

@@ -106,6 +106,8 @@ pub struct CheckReport {
     pub pixel_center: f64,
     /// Share of depth pixels with a measurement.
     pub valid_depth_share: f64,
+    /// Length along its row of the gap that the median pixel without depth lies in, pixels; 0 without gaps.
+    pub depth_gap_px: usize,
     /// 1st, 50th and 99th percentile of valid depth, metres.
     pub depth_range_m: [f64; 3],
     /// Largest rounding removed from a rotation, entry of |RᵀR − I|.
@@ -139,6 +141,7 @@ impl CheckReport {
         let mut metrics = Metrics::new();
         metrics.set("check.frames", self.frames);
         metrics.set("check.valid_depth_share", self.valid_depth_share);
+        metrics.set("check.depth_gap_px", self.depth_gap_px);
         metrics.set("check.overlap_1_m", self.overlap_1.map(|o| o.median_m));
         metrics.set("check.overlap_4_m", self.overlap_4.map(|o| o.median_m));
         metrics
@@ -169,6 +172,9 @@ impl std::fmt::Display for CheckReport {
             100.0 * self.valid_depth_share,
             short(self.depth_unit_m)
         )?;
+        if self.depth_gap_px > 0 {
+            writeln!(out, "  missing depth     in gaps of {} pixels (median)", self.depth_gap_px)?;
+        }
         if !self.has_poses {
             writeln!(out, "  poses             none: a scan estimates them from the images")?;
         } else {

@@ -8,6 +8,7 @@ mod gaussians;
 mod landing;
 mod masks;
 mod scene;
+mod sensor;
 mod strike;
 mod tracking;
 
@@ -19,8 +20,9 @@ pub use gaussians::{GaussiansRequest, gaussians, trained_only};
 pub use landing::{LandingProblem, stuck_text};
 pub use masks::{ObjectMasks, masks};
 pub use scene::{SceneRequest, drift_text, scene};
+pub use sensor::sensor;
 pub use strike::StrikeProblem;
-pub use tracking::with_estimated_poses;
+pub use tracking::{EstimatedPoses, with_estimated_poses};
 
 pub(crate) use chooser::recording;
 pub(crate) use evaluate::add_drifts;

@@ -4,7 +4,7 @@ use glamx::DVec3;
 use sms_core::{Cancel, NoProgress, Seed, StageContext, Warnings};
 use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence};
 use sms_pipeline::Error;
-use sms_pipeline::stages::{FramesRequest, frames};
+use sms_pipeline::stages::{FramesRequest, frames, sensor};
 use sms_poses::{PoseOrigin, PosesConfig, PosesMode};
 use sms_synth::{BilliardsSettings, RecordingSettings, generate_billiards, write_recording};
 
@@ -44,6 +44,14 @@ fn poses_are_estimated_where_there_are_none() {
         let off_m = found[k].distance(expected[k]);
         assert!(off_m < 0.01, "frame {k}: {off_m}");
     }
+
+    // The errors of the recording follow from some of its frames.
+    let as_recorded = LoadSettings { long_side: 0, ..load.clone() };
+    let seen = sensor(&given, &as_recorded, &PosesConfig::default(), context).unwrap();
+    let sigma_m = seen.depth_noise.unwrap().sigma_m(0.7);
+    let true_sigma_m = dense.sensor.depth.sigma_at(0.7);
+    assert!((0.8..1.25).contains(&(sigma_m / true_sigma_m)), "{sigma_m} instead of {true_sigma_m}");
+    assert!(seen.color_shift_px.iter().all(|v| v.abs() < 1e-6), "{:?}", seen.color_shift_px);
 
     // Without poses in the files, there is no world that could be taken as it is.
     let path = dir.path().join("transforms.json");

@@ -1,0 +1,33 @@
+//! Recording → errors of its depth, colour and poses.
+
+use super::tracking::with_estimated_poses;
+use crate::Error;
+use sms_core::StageContext;
+use sms_frames::{LoadSettings, Recording, load};
+use sms_poses::{PoseReport, PosesConfig, PosesMode, refine_poses};
+
+/// Frames that are examined: consecutive ones from the middle of the recording.
+const EXAMINED: usize = 24;
+
+/// Estimates the depth noise of a recording, the shift of its colour against the depth and the errors of its poses from some
+/// consecutive frames. The verdict of the report says whether they could be compared.
+///
+/// # Errors
+/// [`Error::Input`] if a file is missing or damaged, or if the recording has no poses and they cannot be estimated; an interruption.
+pub fn sensor(
+    recording: &Recording,
+    settings: &LoadSettings,
+    config: &PosesConfig,
+    context: StageContext<'_>,
+) -> Result<PoseReport, Error> {
+    let first = recording.frames.len().saturating_sub(EXAMINED) / 2;
+    let some = LoadSettings { first, stride: 1, max_frames: EXAMINED, ..settings.clone() };
+    let sequence = if recording.has_poses {
+        load(recording, &some, context)?
+    } else {
+        let posed = with_estimated_poses(recording, &some, config, context)?.recording;
+        load(&posed, &LoadSettings { first: 0, max_frames: 0, ..some }, context)?
+    };
+    let config = PosesConfig { mode: PosesMode::Refine, ..config.clone() };
+    Ok(refine_poses(&sequence, &config, context)?.report)
+}
