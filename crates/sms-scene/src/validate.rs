@@ -133,19 +133,24 @@ fn hull_problem(hull: &Mesh) -> Option<String> {
     if thickness.is_nan() || thickness < MIN_HULL_THICKNESS {
         return Some(format!("is too thin ({thickness:.1e} m)"));
     }
-    let tolerance = 1e-4 * hull.aabb().map_or(0.0, |b| b.extents().length());
-    (!is_convex(hull, tolerance)).then(|| "is not convex".into())
+    (!is_convex(hull)).then(|| "is not convex".into())
 }
 
-/// Returns whether all vertices lie at most `tolerance` metres outside of every face.
-fn is_convex(hull: &Mesh, tolerance: f64) -> bool {
+/// Returns whether all vertices lie at most a small share of the size outside of every face.
+fn is_convex(hull: &Mesh) -> bool {
+    /// That share.
+    const TOLERANCE: f64 = 1e-4;
+    /// Files round coordinates to this, metres.
+    const ROUNDING_M: f64 = 1e-9;
+    let tolerance = TOLERANCE * hull.aabb().map_or(0.0, |b| b.extents().length());
+    // Rounding turns the normal of a face by more than the tolerance allows if the face is narrower than this. Such faces are
+    // skipped; their neighbours are tested.
+    let narrow = tolerance.max(ROUNDING_M / TOLERANCE);
     (0..hull.triangles.len()).all(|t| {
         let [a, b, c] = hull.corners(t);
         let normal = (b - a).cross(c - a);
-        // Faces narrower than the tolerance are skipped: files round coordinates to a nanometre, which turns their normals
-        // too much. Their neighbours are tested.
         let longest = (b - a).length().max((c - a).length()).max((c - b).length());
-        normal.length() < longest * tolerance.max(1e-12)
+        normal.length() < longest * narrow
             || hull.vertices.iter().all(|&v| (v - a).dot(normal.normalize_or(DVec3::ZERO)) <= tolerance)
     })
 }
@@ -182,29 +187,30 @@ mod tests {
     #[test]
     fn narrow_faces_of_rounded_hulls_are_not_dents() {
         let corner = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
-        let (s, h, d) = (0.1, 1e-6, 4e-10);
-        // A prism over a pentagon, one corner of which is cut off by h; the cut's one end is rounded by d.
-        let outline = [(0.0, 0.0), (s, 0.0), (s, s - h), (s - h, s), (0.0, s)];
-        let bottom = outline.map(|(x, y)| corner(x, y, 0.0));
-        let mut top = outline.map(|(x, y)| corner(x, y, s));
-        top[2].y -= d;
-        top[3].x += d;
-        let vertices = [bottom, top].concat();
-        let mut triangles = Vec::new();
-        for k in 1..4u32 {
-            triangles.push([0, k + 1, k]);
-            triangles.push([5, 5 + k, 6 + k]);
+        for (s, h, d) in [(0.1, 1e-6, 4e-10), (0.005, 1.4e-6, 1e-9)] {
+            // A prism over a pentagon, one corner of which is cut off by h; the cut's one end is rounded by d.
+            let outline = [(0.0, 0.0), (s, 0.0), (s, s - h), (s - h, s), (0.0, s)];
+            let bottom = outline.map(|(x, y)| corner(x, y, 0.0));
+            let mut top = outline.map(|(x, y)| corner(x, y, s));
+            top[2].y -= d;
+            top[3].x += d;
+            let vertices = [bottom, top].concat();
+            let mut triangles = Vec::new();
+            for k in 1..4u32 {
+                triangles.push([0, k + 1, k]);
+                triangles.push([5, 5 + k, 6 + k]);
+            }
+            for k in 0..5u32 {
+                let n = (k + 1) % 5;
+                triangles.extend([[k, n, 5 + n], [k, 5 + n, 5 + k]]);
+            }
+            let prism = Mesh::new(vertices, triangles);
+            assert!(prism.is_closed_oriented() && prism.volume() > 0.0);
+            assert!(is_convex(&prism), "{s} m");
+            let mut dented = prism;
+            dented.vertices[5] *= 0.5;
+            assert!(!is_convex(&dented), "{s} m");
         }
-        for k in 0..5u32 {
-            let n = (k + 1) % 5;
-            triangles.extend([[k, n, 5 + n], [k, 5 + n, 5 + k]]);
-        }
-        let prism = Mesh::new(vertices, triangles);
-        assert!(prism.is_closed_oriented() && prism.volume() > 0.0);
-        assert!(is_convex(&prism, 1e-5));
-        let mut dented = prism;
-        dented.vertices[5] *= 0.5;
-        assert!(!is_convex(&dented, 1e-5));
     }
 
     #[test]
