@@ -34,6 +34,12 @@ struct SequenceFile {
     frames: Vec<FrameEntry>,
 }
 
+/// Read first: other versions have other fields.
+#[derive(Deserialize)]
+struct Version {
+    version: u32,
+}
+
 #[derive(Serialize, Deserialize)]
 struct FrameEntry {
     index: usize,
@@ -174,11 +180,12 @@ fn read_files(dir: &Path) -> Result<(SequenceFile, Vec<u8>), FramesError> {
             InputError::new("this folder holds no loaded sequence", &path, "run `sms scan` first").into()
         );
     }
-    let file: SequenceFile = atomic::read_json(&path)?;
-    if file.version != VERSION {
-        let what = format!("this sequence has version {} and this program reads {VERSION}", file.version);
+    let Version { version } = atomic::read_json(&path)?;
+    if version != VERSION {
+        let what = format!("this sequence has version {version} and this program reads {VERSION}");
         return Err(InputError::new(what, &path, "scan the recording again").into());
     }
+    let file: SequenceFile = atomic::read_json(&path)?;
     let path = geometry_file(dir);
     let geometry = std::fs::read(&path).map_err(CoreError::read(&path))?;
     Ok((file, geometry))
@@ -349,5 +356,14 @@ mod tests {
         };
         assert_eq!(faulty(dir.path()), path.display().to_string());
         assert!(faulty(&dir.path().join("no")).ends_with("sequence.json"));
+    }
+
+    #[test]
+    fn another_version_is_named_whatever_its_fields() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("sequence.json");
+        std::fs::write(&path, r#"{"version": 1, "frames": [{"index": 0}]}"#).unwrap();
+        let Err(FramesError::Input(e)) = Sequence::load(dir.path()) else { panic!("refused") };
+        assert!(e.what.contains("version 1") && e.what.contains(&VERSION.to_string()), "{e}");
     }
 }

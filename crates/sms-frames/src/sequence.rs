@@ -51,7 +51,7 @@ impl Sequence {
         self.frames.is_empty()
     }
 
-    /// Sets the depth noise of all frames, and fits their normals again, to the depth that differs by no more than that.
+    /// Sets the depth noise of all frames, and fits their normals again: the noise tells which neighbours lie on one surface.
     pub fn set_depth_noise(&mut self, noise: DepthNoise, normal_radius: usize) {
         self.frames.par_iter_mut().for_each(|frame| {
             frame.depth_noise = noise;

@@ -20,6 +20,7 @@ impl LandingDisturbances {
     pub fn scene(&self, landing: &ResolvedLanding, scene: &Scene, seed: Seed, index: usize) -> Scene {
         let materials = Perturbation {
             materials: self.materials,
+            scale: false,
             position_m: 0.0,
             radius_m: 0.0,
             object_m: 0.0,

@@ -54,17 +54,22 @@ fn absolute_orientation(from: &[DVec3], to: &[DVec3]) -> DPose3 {
         [xy - yx, zx + xz, yz + zy, zz - xx - yy],
     ];
     let (values, vectors) = symmetric_eigen(matrix, 30, 0.0);
-    let best = (0..4).max_by(|&a, &b| values[a].total_cmp(&values[b])).unwrap_or(0);
+    // Of equal ones the first, which turns least: a single point determines no rotation.
+    let best = (0..4).rev().max_by(|&a, &b| values[a].total_cmp(&values[b])).unwrap_or(0);
     let q = vectors.map(|row| row[best]);
     let rotation = DQuat::from_xyzw(q[1], q[2], q[3], q[0]).normalize();
     DPose3::from_parts(a0 - rotation * b0, rotation)
 }
 
-/// Returns the rigid motion that moves the cameras `from` closest to `to`, from their centres and from points 1 m in front of them,
+/// Returns the rigid motion that moves the cameras `from` closest to `to`, from their centres and from points 1 m along their axes,
 /// which add the rotations.
 pub fn align_cameras(from: &[DPose3], to: &[DPose3]) -> DPose3 {
     let corners = |poses: &[DPose3]| -> Vec<DVec3> {
-        poses.iter().flat_map(|x| [x.translation, x.transform_point(DVec3::Z)]).collect()
+        let of = |x: &DPose3| {
+            let x = *x;
+            std::iter::once(x.translation).chain(DVec3::AXES.map(|axis| x.transform_point(axis)))
+        };
+        poses.iter().flat_map(of).collect()
     };
     align_rigidly(&corners(from), &corners(to))
 }
@@ -120,5 +125,16 @@ mod tests {
         let to: Vec<DPose3> = from.iter().map(|x| motion() * *x).collect();
         let (turn, shift) = difference(&align_cameras(&from, &to), &motion());
         assert!(turn < 1e-12 && shift < 1e-12, "{turn} {shift}");
+        // Neither do those of a camera that moves straight ahead, or not at all.
+        for step_m in [0.1, 0.0] {
+            let from: Vec<DPose3> =
+                (0..5).map(|i| DPose3::from_translation(step_m * i as f64 * DVec3::Z)).collect();
+            let to: Vec<DPose3> = from.iter().map(|x| motion() * *x).collect();
+            let (turn, shift) = difference(&align_cameras(&from, &to), &motion());
+            assert!(turn < 1e-12 && shift < 1e-12, "{turn} {shift}");
+        }
+        let shifted = align_rigidly(&[DVec3::X], &[DVec3::Y]);
+        assert_eq!(shifted.transform_point(DVec3::X), DVec3::Y);
+        assert!(shifted.rotation.angle_between(DQuat::IDENTITY) < 1e-12, "{shifted:?}");
     }
 }

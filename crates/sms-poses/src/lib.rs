@@ -169,8 +169,14 @@ pub fn refine_poses(
         judgement,
     };
     if !finite {
-        report.verdict = PoseVerdict::NotPossible;
-        report.corrections.clear();
+        // Of figures that are not finite, none is kept.
+        report = PoseReport {
+            verdict: PoseVerdict::NotPossible,
+            prospect: report.prospect,
+            pairs: report.pairs,
+            iterations,
+            ..PoseReport::default()
+        };
     } else if config.mode.is_judged() && !judgement.improved() {
         report.verdict = PoseVerdict::GivenAreAsGood;
     } else if config.mode.is_judged() && common_mode.is_some_and(|mode| !mode.is_allowed()) {
@@ -215,8 +221,9 @@ fn warn(
             "check the depth and the poses with `sms check`",
         );
     }
-    if let Some(mode) = report.common_mode.filter(|mode| !mode.is_allowed()) {
-        let used = if report.verdict == PoseVerdict::Refined { "refined" } else { "given" };
+    let is_told = matches!(report.verdict, PoseVerdict::Refined | PoseVerdict::CommonChange);
+    if let Some(mode) = report.common_mode.filter(|mode| is_told && !mode.is_allowed()) {
+        let used = if report.verdict == PoseVerdict::Refined { "refined" } else { "unrefined" };
         warnings.add(
             "poses",
             "poses_common_change",

@@ -4,6 +4,9 @@
 //! of the given poses. Independent errors average out in a scale, a shear, or the mean shift of one side of an orbit, so their
 //! standard deviation there follows from the noise. A mode far beyond it comes from a bias of the images: depth in another unit,
 //! another focal length, colour beside the depth.
+//!
+//! Two things hide a mode. A hand-eye correction explains changes that are the same for every camera: on a circle around the scene,
+//! a shift along the optical axes is a scale. And the noise is estimated from the same deviations: a smooth mode looks like a drift.
 
 use crate::given::GivenNoise;
 use glamx::{DMat3, DVec3};

@@ -1,7 +1,7 @@
 //! The report of a refinement.
 
 use crate::given::GivenNoise;
-use crate::{CommonMode, Judgement, SizeUncertainty};
+use crate::{CommonMode, Judgement, ModeKind, SizeUncertainty};
 use glamx::DPose3;
 use serde::{Deserialize, Serialize};
 use sms_core::metrics::Metrics;
@@ -138,6 +138,21 @@ pub struct PoseReport {
 }
 
 impl PoseReport {
+    /// Returns the standard deviation of sizes and distances under the poses that are used, as a share; `None` if it is not known.
+    pub fn relative_size_sigma(&self) -> Option<f64> {
+        let estimated = self.size.as_ref().map(SizeUncertainty::relative_sigma);
+        match (self.verdict, self.common_mode) {
+            (PoseVerdict::Refined, _) => estimated,
+            // The images contradict the poses that are used by this much.
+            (
+                PoseVerdict::CommonChange,
+                Some(CommonMode { kind: ModeKind::Scale | ModeKind::Shear, value, .. }),
+            ) => Some(estimated.unwrap_or(0.0).max(value.abs())),
+            (PoseVerdict::CommonChange, _) => estimated,
+            _ => None,
+        }
+    }
+
     /// Returns the median over frames of the corrections' lengths (metres) and angles (radians).
     pub fn median_correction(&self) -> Option<(f64, f64)> {
         let median = |mut values: Vec<f64>| {
@@ -192,6 +207,20 @@ impl PoseReport {
         m
     }
 
+    /// Returns the errors of depth, colour and recorded poses as figures `check.*`.
+    pub fn sensor_metrics(&self) -> Metrics {
+        let mut m = Metrics::new();
+        if let Some(noise) = &self.depth_noise {
+            m.set("check.depth_noise_a_m", noise.a_m).set("check.depth_noise_b_per_m", noise.b_per_m);
+        }
+        m.set("check.color_shift_x_px", self.color_shift_px[0]);
+        m.set("check.color_shift_y_px", self.color_shift_px[1]);
+        if let Some(sigma) = self.given_sigma.filter(|_| self.origin == PoseOrigin::Recorded) {
+            m.set("check.pose_sigma_m", sigma.position_m).set("check.pose_sigma_rad", sigma.rotation_rad);
+        }
+        m
+    }
+
     /// Returns the errors of depth, colour and poses for people, a line each; empty if no frames could be compared. The depth noise
     /// is told for the given depths, metres, and the shift of the colour in pixels of which `pixel_scale` are one loaded pixel.
     pub fn sensor_lines(&self, depths_m: [f64; 2], pixel_scale: f64) -> Vec<String> {
@@ -211,7 +240,8 @@ impl PoseReport {
         } else {
             format!("colour            {du:+.1}, {dv:+.1} pixels (right, down) beside the depth")
         });
-        if let (Some(sigma), Some(common)) = (&self.given_sigma, &self.hand_eye) {
+        let are_recorded = self.origin == PoseOrigin::Recorded;
+        if let (Some(sigma), Some(common), true) = (&self.given_sigma, &self.hand_eye, are_recorded) {
             let length = |v: [f64; 3]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
             lines.push(format!(
                 "pose noise        ±{:.1} mm, ±{:.2}° each; a correction that all share: {:.1} mm, {:.2}°",

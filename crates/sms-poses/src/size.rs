@@ -44,6 +44,13 @@ impl SizeUncertainty {
         self.extents.iter().max_by(|a, b| a.sigma_m.total_cmp(&b.sigma_m))
     }
 
+    /// Returns the standard deviation of sizes and distances, as a share: that of the scale of the camera centres, or of the least
+    /// certain distance between opposite faces.
+    pub fn relative_sigma(&self) -> f64 {
+        let of = |e: &ExtentUncertainty| if e.distance_m > 0.0 { e.sigma_m / e.distance_m } else { 0.0 };
+        self.extents.iter().map(of).fold(self.scale_sigma, f64::max)
+    }
+
     /// Returns a statement for people: 90 % intervals.
     pub(crate) fn summary(&self) -> String {
         const NINETY: f64 = 1.645;

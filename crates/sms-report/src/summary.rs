@@ -188,13 +188,7 @@ fn scan_cards(html: &mut String, input: &ReportInput<'_>) {
         card(html, "Objects", &dynamic.count().to_string(), &note, "");
         if scene.scale_sigma > 0.0 {
             let value = format!("±{:.2} %", 100.0 * NINETY * scene.scale_sigma);
-            card(
-                html,
-                "Scale",
-                &value,
-                "90 % interval of all sizes and distances, from the camera poses",
-                "",
-            );
+            card(html, "Size", &value, "90 % interval of sizes and distances, from the camera poses", "");
         }
     }
     let seconds: f64 =

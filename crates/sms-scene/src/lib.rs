@@ -27,4 +27,4 @@ pub use build::{BuildError, GRAVITY, build_scene, example_material, floor_body, 
 pub use manifest::{SceneError, hull_file, load_scene, save_scene, trimesh_file, visual_file, write_meshes};
 pub use scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene};
 pub use schema::SCENE_SCHEMA;
-pub use validate::Problem;
+pub use validate::{MOST_SCALE_SIGMA, Problem};

@@ -16,8 +16,8 @@ pub struct Scene {
     pub name: String,
     /// Gravity in the world, m/s².
     pub gravity_w: DVec3,
-    /// Standard deviation of the scale of the scene, as a share: all sizes and distances are off by a common factor, which the
-    /// poses of the scan know no better. 0 if unknown.
+    /// Standard deviation of sizes and distances, as a share, from the uncertainty of the camera poses: of the scale of the camera
+    /// positions, or of the least certain distance between opposite faces. 0 if unknown.
     pub scale_sigma: f64,
     /// `X_world_recording` of the scan this came from.
     pub x_world_recording: DPose3,

@@ -11,7 +11,7 @@ pub(crate) const MAX_HULL_VERTICES: usize = 64;
 /// normal, and engines refuse them.
 pub(crate) const MIN_HULL_THICKNESS: f64 = 2e-5;
 /// Largest uncertainty of a scene's scale: perturbed scenes are up to √3 standard deviations smaller.
-const MOST_SCALE_SIGMA: f64 = 0.5;
+pub const MOST_SCALE_SIGMA: f64 = 0.5;
 
 /// One problem of a scene.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -28,8 +28,8 @@ const GAPS: [usize; 2] = [1, 4];
 struct Scanned {
     valid: usize,
     pixels: usize,
-    /// Lengths of the gaps along its rows, pixels.
-    gaps: Vec<usize>,
+    /// Number of pixels in gaps along its rows, by the length of the gap.
+    gap_pixels: BTreeMap<usize, usize>,
     /// A sample of the valid depths, metres.
     depths: Vec<f64>,
     raw: Option<Image<u16>>,
@@ -102,7 +102,7 @@ pub fn check(
         depth_unit_m: recording.depth_unit_m,
         pixel_center: recording.pixel_center,
         valid_depth_share: valid as f64 / pixels.max(1) as f64,
-        depth_gap_px: middle_gap(scanned.iter().flat_map(|s| &s.gaps)),
+        depth_gap_px: middle_gap(scanned.iter().map(|s| &s.gap_pixels)),
         depth_range_m: [quantile(0.01), quantile(0.5), quantile(0.99)],
         pose_rounding: recording.frames.iter().fold(0.0, |m, f| m.max(f.pose_rounding)),
         camera_path_m: recording
@@ -141,9 +141,9 @@ fn bases(recording: &Recording) -> Vec<usize> {
 }
 
 /// Returns the length of the gap that the median pixel without depth lies in; 0 without such pixels.
-fn middle_gap<'a>(lengths: impl Iterator<Item = &'a usize>) -> usize {
+fn middle_gap<'a>(frames: impl Iterator<Item = &'a BTreeMap<usize, usize>>) -> usize {
     let mut pixels: BTreeMap<usize, usize> = BTreeMap::new();
-    lengths.for_each(|&length| *pixels.entry(length).or_default() += length);
+    frames.flatten().for_each(|(length, count)| *pixels.entry(*length).or_default() += count);
     let all: usize = pixels.values().sum();
     let mut below = 0;
     for (length, count) in pixels {
@@ -164,14 +164,16 @@ fn scan_frame(recording: &Recording, index: usize, keep: bool) -> Result<Scanned
         // The reader's message names the file and the cure.
         recording.read_depth_m(index)?;
     }
-    let mut gaps = Vec::new();
+    let mut gap_pixels = BTreeMap::new();
     for row in raw.data.chunks_exact(raw.width.max(1)) {
-        gaps.extend(row.split(|&v| v > 0).map(<[u16]>::len).filter(|&length| length > 0));
+        for length in row.split(|&v| v > 0).map(<[u16]>::len).filter(|&length| length > 0) {
+            *gap_pixels.entry(length).or_default() += length;
+        }
     }
     let stride = (valid / 500).max(1);
     let unit = recording.depth_unit_m;
     let depths = raw.data.iter().filter(|&&v| v > 0).step_by(stride).map(|&v| f64::from(v) * unit).collect();
-    Ok(Scanned { valid, pixels: raw.data.len(), gaps, depths, raw: keep.then_some(raw) })
+    Ok(Scanned { valid, pixels: raw.data.len(), gap_pixels, depths, raw: keep.then_some(raw) })
 }
 
 /// Adds findings on the recording's quality, which other conventions would not cure.
@@ -239,9 +241,9 @@ mod tests {
 
     #[test]
     fn the_middle_gap_counts_pixels_and_not_gaps() {
-        assert_eq!(middle_gap([].iter()), 0);
+        assert_eq!(middle_gap([].into_iter()), 0);
         // 30 single pixels, and 70 pixels in gaps of 20 to 30.
-        let lengths: Vec<usize> = std::iter::repeat_n(1, 30).chain([20, 20, 30]).collect();
-        assert_eq!(middle_gap(lengths.iter()), 20);
+        let frames = [BTreeMap::from([(1, 20), (20, 40)]), BTreeMap::from([(1, 10), (30, 30)])];
+        assert_eq!(middle_gap(frames.iter()), 20);
     }
 }

@@ -45,7 +45,7 @@ impl Run<'_> {
         refuse_foreign_world(
             &run,
             "the known objects are placed in the recording's world",
-            "scan with the recorded poses, or with --poses estimate, which moves the estimated poses to the recorded ones",
+            "give the recording its poses; --poses estimate moves estimated ones to these",
         )?;
         let scan = RunSettings::of(&run)?;
         let warnings = Warnings::new();

@@ -1,5 +1,6 @@
 //! Executes the plan in the target world.
 
+use super::poses::refuse_foreign_world;
 use super::status::is_generated;
 use super::{Run, RunSettings};
 use crate::Error;
@@ -100,6 +101,11 @@ impl Run<'_> {
             )
             .into());
         }
+        refuse_foreign_world(
+            &run,
+            "the true scene is placed in the recording's world",
+            "give the recording its poses; --poses estimate moves estimated ones to these",
+        )?;
         let engine = request.engine.unwrap_or_else(TargetEngine::preferred);
         let is_strike = !is_landing(&plan_dir);
         let arm = if is_strike { arm_of(request.arm, engine)? } else { request.arm };

@@ -1,6 +1,6 @@
 //! Scene and task → plan.
 
-use super::poses::refuse_foreign_world;
+use super::poses::refuse_robot_in_foreign_world;
 use super::{Refusal, Run, RunSettings};
 use crate::cache::{inputs_hash, run_stage};
 use crate::command_options::{record_options, record_task};
@@ -107,13 +107,7 @@ impl Run<'_> {
         let seed = seed(request, &run)?;
         let scan = RunSettings::of(&run).ok();
         let robot = RobotPlace::of(&self.context.settings, scan.as_ref())?;
-        if robot.config.x_recording_robot.is_some() {
-            refuse_foreign_world(
-                &run,
-                "`robot.x_recording_robot` is the robot's pose in the recording's world",
-                "state its pose in the scene's world: `robot.x_world_robot`",
-            )?;
-        }
+        refuse_robot_in_foreign_world(&run, &robot.config)?;
         let strike = StrikeProblem::new(&task, &scene, &robot)?;
         let out_of_view = refuse_places_off_the_floor(&run, &strike.task, &request.task)?;
         record_options(self.context, &run, "plan")?;

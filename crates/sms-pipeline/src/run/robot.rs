@@ -1,6 +1,6 @@
 //! Plans the arm's motion for a planned strike.
 
-use super::poses::refuse_foreign_world;
+use super::poses::refuse_robot_in_foreign_world;
 use super::{Refusal, Run, RunSettings};
 use crate::cache::{inputs_hash, run_stage};
 use crate::origin::{current_dir, stage_state};
@@ -62,13 +62,6 @@ impl Run<'_> {
         let scene = load_scene(&scene_dir)?;
         let scan = RunSettings::of(&run).ok();
         let stated = RobotPlace::of(&self.context.settings, scan.as_ref())?;
-        if stated.config.x_recording_robot.is_some() {
-            refuse_foreign_world(
-                &run,
-                "`robot.x_recording_robot` is the robot's pose in the recording's world",
-                "state its pose in the scene's world: `robot.x_world_robot`",
-            )?;
-        }
         let plan = load_plan(&plan_dir)?;
         // Checks the robot of the plan.
         let config = match &plan.robot {
@@ -77,7 +70,10 @@ impl Run<'_> {
         };
         let x_wr = match request.x_world_robot {
             Some(x_wr) => x_wr,
-            None => config.x_wr(&scene.x_world_recording).ok_or_else(no_place)?,
+            None => {
+                refuse_robot_in_foreign_world(&run, &config)?;
+                config.x_wr(&scene.x_world_recording).ok_or_else(no_place)?
+            }
         };
         let robot = config.model()?.with_base(x_wr);
         let task = Task::read(&plan_dir.join("task.toml"))?.resolve(&scene)?;

@@ -10,7 +10,7 @@ use crate::object_names::{EDITS, ObjectNames, follow};
 use crate::preview::{FOUND, FoundBox};
 use crate::resumption::AnnouncedScan;
 use crate::separate::refuse_run_in_recording;
-use crate::stages::{FramesRequest, GaussiansRequest, frames, gaussians, masks};
+use crate::stages::{FramesRequest, GaussiansRequest, frames, gaussians, masks, recorded_poses};
 use crate::{Device, Error, MasksSource, device};
 use sms_core::{CoreError, Hash, Hasher, InputError, RunFolder, Seed, Warnings, atomic};
 use sms_frames::{Align, LoadSettings, ReadOptions, RecordedFrame, Recording, Sequence};
@@ -157,7 +157,9 @@ impl Run<'_> {
         let FramesRequest { load, poses, .. } = &settings.frames;
         // Without refinement, its settings do not matter.
         let refinement: Option<&PosesConfig> = (poses.mode != PosesMode::Given).then_some(poses);
-        let hash = inputs_hash(&[&fingerprint(recording)?], &(&settings.read, load, refinement))?;
+        // Estimated poses are moved to those that the files hold, which the fingerprint then lacks.
+        let ignored = (!recording.has_poses).then(|| recorded_poses(recording, &Warnings::new()));
+        let hash = inputs_hash(&[&fingerprint(recording)?], &(&settings.read, load, refinement, ignored))?;
         let dir = run_stage(self.context, run, "frames", &hash, |stage, warnings| {
             let made = frames(recording, &settings.frames, self.context.stage(warnings, request.seed()))?;
             if let Some(report) = &made.poses {

@@ -4,7 +4,7 @@ use super::tracking::{EstimatedPoses, with_estimated_poses};
 use crate::Error;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, StageContext};
-use sms_frames::{LoadSettings, Recording, Sequence, Severity, check, load};
+use sms_frames::{DepthNoise, LoadSettings, Recording, Sequence, Severity, check, load};
 use sms_poses::{PoseReport, PosesConfig, PosesMode, refine_poses};
 use std::time::Instant;
 
@@ -83,7 +83,9 @@ pub fn refined(
     }
     let began = Instant::now();
     let mut refined = refine_poses(&sequence, config, context)?;
-    if let Some(noise) = refined.report.depth_noise.filter(|_| load.estimate_noise) {
+    // Noise that is out of the range of the setting says nothing of a sensor.
+    let is_possible = |noise: &DepthNoise| noise.validate("frames", "noise.").is_ok();
+    if let Some(noise) = refined.report.depth_noise.filter(|n| load.estimate_noise && is_possible(n)) {
         refined.sequence.set_depth_noise(noise, load.normal_radius);
     }
     metrics.merge(refined.report.metrics());

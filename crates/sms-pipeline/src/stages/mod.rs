@@ -26,3 +26,4 @@ pub use tracking::{EstimatedPoses, with_estimated_poses};
 
 pub(crate) use chooser::recording;
 pub(crate) use evaluate::add_drifts;
+pub(crate) use tracking::recorded_poses;

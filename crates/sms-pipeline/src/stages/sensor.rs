@@ -4,7 +4,7 @@ use super::tracking::with_estimated_poses;
 use crate::Error;
 use sms_core::StageContext;
 use sms_frames::{LoadSettings, Recording, load};
-use sms_poses::{PoseReport, PosesConfig, PosesMode, refine_poses};
+use sms_poses::{PoseOrigin, PoseReport, PosesConfig, PosesMode, refine_poses};
 
 /// Frames that are examined: consecutive ones from the middle of the recording.
 const EXAMINED: usize = 24;
@@ -22,12 +22,13 @@ pub fn sensor(
 ) -> Result<PoseReport, Error> {
     let first = recording.frames.len().saturating_sub(EXAMINED) / 2;
     let some = LoadSettings { first, stride: 1, max_frames: EXAMINED, ..settings.clone() };
-    let sequence = if recording.has_poses {
-        load(recording, &some, context)?
+    let (sequence, origin) = if recording.has_poses {
+        (load(recording, &some, context)?, PoseOrigin::Recorded)
     } else {
-        let posed = with_estimated_poses(recording, &some, config, context)?.recording;
-        load(&posed, &LoadSettings { first: 0, max_frames: 0, ..some }, context)?
+        let posed = with_estimated_poses(recording, &some, config, context)?;
+        let all = LoadSettings { first: 0, max_frames: 0, ..some };
+        (load(&posed.recording, &all, context)?, posed.origin)
     };
     let config = PosesConfig { mode: PosesMode::Refine, ..config.clone() };
-    Ok(refine_poses(&sequence, &config, context)?.report)
+    Ok(PoseReport { origin, ..refine_poses(&sequence, &config, context)?.report })
 }

@@ -20,7 +20,7 @@ const MOST_NAMED: usize = 8;
 pub struct EstimatedPoses {
     /// The recording.
     pub recording: Recording,
-    /// Whether the poses are in the world of recorded ones.
+    /// World of the poses.
     pub origin: PoseOrigin,
     /// Metrics `poses.*`.
     pub metrics: Metrics,
@@ -39,13 +39,7 @@ pub fn with_estimated_poses(
     context: StageContext<'_>,
 ) -> Result<EstimatedPoses, Error> {
     let began = Instant::now();
-    let recorded = recorded_poses(recording);
-    if recorded.is_none() && load.align == Align::None {
-        let what = "`frames.align = \"none\"` takes the recording's world as it is, but the recording has no camera poses";
-        return Err(
-            InputError::new(what, &recording.root, "leave it out, or state the up direction: --up").into()
-        );
-    }
+    let recorded = recorded_poses(recording, context.warnings);
     let settings = LoadSettings { long_side: LONG_SIDE, ..load.clone() };
     // Frames that are not selected are followed, too: the camera moves less between them.
     let end = match load.max_frames {
@@ -68,29 +62,55 @@ pub fn with_estimated_poses(
     metrics.set("poses.keyframes", found.keyframes as f64);
     metrics.set("poses.loops", found.loops as f64);
     metrics.set("poses.tracking_seconds", began.elapsed().as_secs_f64());
-    let origin = if recorded.is_some() { PoseOrigin::Estimated } else { PoseOrigin::EstimatedAlone };
     let mut selected: Vec<Option<DPose3>> = vec![None; recording.frames.len()];
     for k in (0..count).step_by(load.stride.max(1)) {
         selected[first + k] = found.poses[k];
     }
-    if let Some(recorded) = recorded {
-        let both = selected.iter().zip(recorded).filter_map(|(found, given)| (*found).zip(given));
-        let (found, given): (Vec<DPose3>, Vec<DPose3>) = both.unzip();
+    let both = selected.iter().zip(&recorded).filter_map(|(found, given)| (*found).zip(*given));
+    let (found, given): (Vec<DPose3>, Vec<DPose3>) = both.unzip();
+    let mut posed = recording.clone();
+    // Two cameras do not show whether their recorded poses belong together.
+    let origin = if found.len() >= 3 {
         let moved = align_cameras(&found, &given);
         selected.iter_mut().flatten().for_each(|x| *x = moved * *x);
-    }
-    Ok(EstimatedPoses { recording: recording.clone().with_poses(&selected), origin, metrics })
+        posed = posed.with_poses(&selected);
+        (posed.world_up_r, posed.world_is_aligned) = (recording.world_up_r, recording.world_is_aligned);
+        PoseOrigin::Estimated
+    } else if load.align == Align::None {
+        let what =
+            "`frames.align = \"none\"` takes the recording's world as it is, but it has no camera poses";
+        let cure = "leave it out, or state the up direction: --up";
+        return Err(InputError::new(what, &recording.root, cure).into());
+    } else {
+        posed = posed.with_poses(&selected);
+        PoseOrigin::EstimatedAlone
+    };
+    Ok(EstimatedPoses { recording: posed, origin, metrics })
 }
 
-/// Returns the poses that the files of a recording hold, for each of its frames; `None` if they hold none that can be read, or fewer
-/// than three: two do not determine the world.
-fn recorded_poses(recording: &Recording) -> Option<Vec<Option<DPose3>>> {
+/// Returns the poses that the files of a recording hold, for each of its frames, although the recording may ignore them.
+pub(crate) fn recorded_poses(recording: &Recording, warnings: &Warnings) -> Vec<Option<DPose3>> {
     let options = ReadOptions { ignore_poses: false, ..recording.options.clone() };
-    let posed = Recording::open(&recording.root, &options).ok().filter(|r| r.has_poses)?;
-    let of: BTreeMap<&Path, DPose3> = posed.frames.iter().map(|f| (&*f.color_path, f.x_rc)).collect();
-    let poses: Vec<Option<DPose3>> =
-        recording.frames.iter().map(|f| of.get(&*f.color_path).copied()).collect();
-    (poses.iter().flatten().count() >= 3).then_some(poses)
+    let posed = match Recording::open(&recording.root, &options) {
+        Ok(posed) => posed,
+        Err(error) => {
+            let what =
+                format!("the poses of the recording cannot be used to place the estimated ones: {error}");
+            warnings.add(
+                "frames",
+                "recorded_poses_unused",
+                what,
+                "repair them if the recording's world matters",
+            );
+            return vec![None; recording.frames.len()];
+        }
+    };
+    let of: BTreeMap<&Path, DPose3> = if posed.has_poses {
+        posed.frames.iter().map(|f| (&*f.color_path, f.x_rc)).collect()
+    } else {
+        BTreeMap::new()
+    };
+    recording.frames.iter().map(|f| of.get(&*f.color_path).copied()).collect()
 }
 
 fn warn(found: &Trajectory, first: usize, warnings: &Warnings) {

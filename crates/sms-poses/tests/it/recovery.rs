@@ -119,3 +119,23 @@ proptest! {
         prop_assert!(errors.point_rms_m < 1e-9 && errors.rotation_rms_rad < 1e-7, "{errors:?}");
     }
 }
+
+#[test]
+fn depth_in_another_unit_is_refused_and_told() {
+    let truth = billiards(1, 20);
+    let mut given = disturbed(&truth, 0.001, 0.05);
+    // All distances seem 3 % larger than the poses say.
+    given.frames.iter_mut().for_each(|f| f.depth.data.iter_mut().for_each(|z| *z *= 1.03));
+    // Without a hand-eye correction, which could bring the cameras of a circle nearer to its middle.
+    let config = PosesConfig {
+        mode: PosesMode::Auto,
+        prior_hand_eye_m: 0.0,
+        prior_hand_eye_rad: 0.0,
+        ..PosesConfig::default()
+    };
+    let warnings = Warnings::new();
+    let result = refine_poses(&given, &config, StageContext::quiet(&Cancel::new(), &warnings)).unwrap();
+    assert_eq!(result.report.verdict, PoseVerdict::CommonChange);
+    assert_eq!(poses(&result.sequence), poses(&given));
+    assert!(result.report.relative_size_sigma().unwrap() > 0.01);
+}
