@@ -35,6 +35,9 @@ pub struct PosesConfig {
     pub prior_hand_eye_m: f64,
     /// Standard deviation of its rotation per axis, radians.
     pub prior_hand_eye_rad: f64,
+    /// Standard deviation of the time offset between given poses and images, seconds. With 0, or without times of the frames, there
+    /// is none.
+    pub prior_time_offset_s: f64,
     /// Number of partners of each frame: those with the most overlap from a similar side.
     pub neighbours: usize,
     /// Number of partners of each frame with a more different direction, so that small errors do not add up along the
@@ -81,6 +84,7 @@ impl Default for PosesConfig {
             prior_rotation_rad: 1f64.to_radians(),
             prior_hand_eye_m: 0.015,
             prior_hand_eye_rad: 1.5f64.to_radians(),
+            prior_time_offset_s: 0.02,
             neighbours: 4,
             far_neighbours: 2,
             color_sigma: 3.0,
@@ -109,6 +113,7 @@ impl PosesConfig {
         r.within("prior_rotation_rad", self.prior_rotation_rad, 1e-6, 3.0)?;
         r.within("prior_hand_eye_m", self.prior_hand_eye_m, 0.0, 1.0)?;
         r.within("prior_hand_eye_rad", self.prior_hand_eye_rad, 0.0, 3.0)?;
+        r.within("prior_time_offset_s", self.prior_time_offset_s, 0.0, 10.0)?;
         r.count("neighbours", self.neighbours, 1, 1000)?;
         r.count("far_neighbours", self.far_neighbours, 0, 1000)?;
         r.within("color_sigma", self.color_sigma, 0.1, 255.0)?;

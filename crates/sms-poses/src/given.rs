@@ -1,5 +1,5 @@
-//! The given poses as measurements: frame i is near `given_i · E`, with a correction E of the hand-eye pose that all frames
-//! share. Its deviation ξ_i, in the axes of the world, is noise whose size is estimated.
+//! The given poses as measurements: frame i is near `given_i(τ) · E`, where all frames share a correction E of the hand-eye pose and
+//! a time offset τ: the pose of an image is that given τ later. Its deviation ξ_i, in the axes of the world, is noise whose size is estimated.
 //!
 //! The precision of ξ over the frames is `a I + s L`, per axis, where L is the Laplacian of the recorded order: `1/√a`
 //! is the deviation from the given poses that is plausible, and `1/√s` that of one frame against the next. Independent
@@ -8,7 +8,7 @@
 
 use crate::PosesConfig;
 use crate::align::lever;
-use crate::linear::{COMMON, Common, HAND_EYE, Inverse, Row, Six, System};
+use crate::linear::{COMMON, Common, HAND_EYE, Inverse, Row, Six, System, TIME};
 use glamx::{DMat3, DPose3, DQuat, DVec3};
 use rayon::prelude::*;
 use sms_core::Seed;
@@ -67,8 +67,45 @@ impl GivenNoise {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GivenPoses<'a> {
     pub(crate) poses: &'a [DPose3],
+    /// Motion of the camera at each frame in the axes of the world: turn rate (rad/s), velocity (m/s); zero where the times of
+    /// frames are not known.
+    pub(crate) rates: &'a [Six],
     /// Centre of rotation of the corrections.
     pub(crate) center_w: DVec3,
+}
+
+/// The values that the given poses of all frames share.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Shared {
+    /// Correction of the hand-eye pose.
+    pub(crate) hand_eye: DPose3,
+    /// Time offset, seconds.
+    pub(crate) time_s: f64,
+}
+
+impl Shared {
+    /// Returns the values after a step.
+    pub(crate) fn after(&self, step: &Common) -> Self {
+        let part =
+            |at: usize| DVec3::new(step[HAND_EYE + at], step[HAND_EYE + at + 1], step[HAND_EYE + at + 2]);
+        let moved = self.hand_eye * DPose3::from_parts(part(3), DQuat::from_scaled_axis(part(0)));
+        let hand_eye = DPose3::from_parts(moved.translation, moved.rotation.normalize());
+        Self { hand_eye, time_s: self.time_s + step[TIME] }
+    }
+}
+
+/// Returns the motion of the camera at each frame between its neighbours, as [`GivenPoses::rates`]; `times_s` has the time of each.
+pub(crate) fn rates(poses: &[DPose3], times_s: &[Option<f64>]) -> Vec<Six> {
+    let rate = |i: usize| -> Option<Six> {
+        let (before, after) = (i.saturating_sub(1), (i + 1).min(poses.len() - 1));
+        let (from, to) = (&poses[before], &poses[after]);
+        let seconds = times_s[after]? - times_s[before]?;
+        let turn = (to.rotation * from.rotation.inverse()).to_scaled_axis() / seconds;
+        let shift = (to.translation - from.translation) / seconds;
+        (seconds > 0.0 && turn.is_finite() && shift.is_finite())
+            .then_some([turn.x, turn.y, turn.z, shift.x, shift.y, shift.z])
+    };
+    (0..poses.len()).map(|i| rate(i).unwrap_or([0.0; 6])).collect()
 }
 
 /// A component of a frame's deviation: rotation about the world's axes (0 to 2), position (3 to 5).
@@ -78,14 +115,28 @@ struct Deviation {
 }
 
 impl GivenPoses<'_> {
-    /// Returns the deviations of a frame's pose from the given one with its hand-eye correction.
-    fn deviations(&self, frame: usize, pose: &DPose3, hand_eye: &DPose3) -> [Deviation; 6] {
-        let base = self.poses[frame] * *hand_eye;
+    /// Returns a frame's pose as given with the values that all share.
+    fn base(&self, frame: usize, shared: &Shared) -> DPose3 {
+        let [a, b, c, x, y, z] = self.rates[frame].map(|rate| shared.time_s * rate);
+        let given = &self.poses[frame];
+        let turn = DQuat::from_scaled_axis(DVec3::new(a, b, c));
+        let moved = DPose3::from_parts(given.translation + DVec3::new(x, y, z), turn * given.rotation);
+        moved * shared.hand_eye
+    }
+
+    /// Returns the deviations of a frame's pose from the given one.
+    fn deviations(&self, frame: usize, pose: &DPose3, shared: &Shared) -> [Deviation; 6] {
+        let base = self.base(frame, shared);
         let turned = (pose.rotation * base.rotation.inverse()).to_scaled_axis();
         let shifted = pose.translation - base.translation;
         let arm = pose.translation - self.center_w;
         // Rows of the rotation of the base: a change of E acts in its axes.
         let r_bw = DMat3::from_quat(base.rotation).transpose();
+        let [a, b, c, x, y, z] = self.rates[frame];
+        let (turn_rate, velocity) = (DVec3::new(a, b, c), DVec3::new(x, y, z));
+        // The shift of the hand-eye correction turns with the camera.
+        let shift_w = base.rotation * (shared.hand_eye.rotation.inverse() * shared.hand_eye.translation);
+        let by_time = [turn_rate, velocity + turn_rate.cross(shift_w)];
         std::array::from_fn(|r| {
             let axis = r % 3;
             let is_turn = r < 3;
@@ -99,33 +150,34 @@ impl GivenPoses<'_> {
             for k in 0..3 {
                 common[HAND_EYE + if is_turn { k } else { 3 + k }] = -r_bw.col(axis)[k];
             }
+            common[TIME] = -by_time[usize::from(!is_turn)][axis];
             let value = if is_turn { turned[axis] } else { shifted[axis] };
             Deviation { value, row: Row { frames: vec![(frame, own)], common } }
         })
     }
 
-    /// Returns the camera centres under the given poses with the hand-eye correction, and the deviations of the poses from them.
-    pub(crate) fn shifts(&self, poses: &[DPose3], hand_eye: &DPose3) -> (Vec<DVec3>, Vec<DVec3>) {
-        let of = |(given, x): (&DPose3, &DPose3)| {
-            let base = (*given * *hand_eye).translation;
+    /// Returns the camera centres under the given poses with the values that all share, and the deviations of the poses from them.
+    pub(crate) fn shifts(&self, poses: &[DPose3], shared: &Shared) -> (Vec<DVec3>, Vec<DVec3>) {
+        let of = |(i, x): (usize, &DPose3)| {
+            let base = self.base(i, shared).translation;
             (base, x.translation - base)
         };
-        self.poses.iter().zip(poses).map(of).unzip()
+        poses.iter().enumerate().map(of).unzip()
     }
 
     /// Returns the size of each frame's deviation: metres, radians.
-    pub(crate) fn lengths(&self, poses: &[DPose3], hand_eye: &DPose3) -> Vec<[f64; 2]> {
+    pub(crate) fn lengths(&self, poses: &[DPose3], shared: &Shared) -> Vec<[f64; 2]> {
         let of = |(i, x): (usize, &DPose3)| {
-            let d = self.deviations(i, x, hand_eye).map(|d| d.value);
+            let d = self.deviations(i, x, shared).map(|d| d.value);
             [DVec3::new(d[3], d[4], d[5]).length(), DVec3::new(d[0], d[1], d[2]).length()]
         };
         poses.iter().enumerate().map(of).collect()
     }
 
     /// Returns the deviations of all frames, and their changes between consecutive frames.
-    fn all(&self, poses: &[DPose3], hand_eye: &DPose3) -> [Vec<[Deviation; 6]>; 2] {
+    fn all(&self, poses: &[DPose3], shared: &Shared) -> [Vec<[Deviation; 6]>; 2] {
         let frames: Vec<[Deviation; 6]> =
-            poses.iter().enumerate().map(|(i, x)| self.deviations(i, x, hand_eye)).collect();
+            poses.iter().enumerate().map(|(i, x)| self.deviations(i, x, shared)).collect();
         let change = |pair: &[[Deviation; 6]]| {
             std::array::from_fn(|r| {
                 let (before, after) = (&pair[0][r], &pair[1][r]);
@@ -145,14 +197,8 @@ impl GivenPoses<'_> {
     }
 
     /// Adds the given poses to the system.
-    pub(crate) fn add_to(
-        &self,
-        system: &mut System,
-        poses: &[DPose3],
-        hand_eye: &DPose3,
-        noise: &GivenNoise,
-    ) {
-        let [frames, steps] = self.all(poses, hand_eye);
+    pub(crate) fn add_to(&self, system: &mut System, poses: &[DPose3], shared: &Shared, noise: &GivenNoise) {
+        let [frames, steps] = self.all(poses, shared);
         for (deviations, precision) in [(frames, noise.frame), (steps, noise.step)] {
             for (r, d) in deviations.iter().flat_map(|d| d.iter().enumerate()) {
                 let weight = precision[r / 3];
@@ -169,11 +215,11 @@ impl GivenPoses<'_> {
         &self,
         inverse: &Inverse<'_>,
         poses: &[DPose3],
-        hand_eye: &DPose3,
+        shared: &Shared,
         config: &PosesConfig,
     ) -> GivenNoise {
         let n = poses.len();
-        let [frames, steps] = self.all(poses, hand_eye).map(|d| squares(&d, inverse, n));
+        let [frames, steps] = self.all(poses, shared).map(|d| squares(&d, inverse, n));
         let configured = GivenNoise::configured(config);
         let mut noise = GivenNoise { frame: [0.0; 2], step: [0.0; 2] };
         for kind in 0..2 {
@@ -265,13 +311,6 @@ fn zero_of(low: f64, high: f64, f: impl Fn(f64) -> f64) -> f64 {
     (low * high).sqrt()
 }
 
-/// Returns the hand-eye correction after a step.
-pub(crate) fn hand_eye_after(hand_eye: &DPose3, step: &Common) -> DPose3 {
-    let part = |at: usize| DVec3::new(step[HAND_EYE + at], step[HAND_EYE + at + 1], step[HAND_EYE + at + 2]);
-    let moved = *hand_eye * DPose3::from_parts(part(3), DQuat::from_scaled_axis(part(0)));
-    DPose3::from_parts(moved.translation, moved.rotation.normalize())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -286,29 +325,48 @@ mod tests {
     fn rows_are_the_derivatives_of_deviations() {
         let center_w = DVec3::new(0.2, -0.1, 0.3);
         let given = [pose([0.3, -0.5, 1.1, 0.4, 0.2, -0.6])];
-        let problem = GivenPoses { poses: &given, center_w };
-        let hand_eye = pose([0.01, -0.02, 0.015, 0.01, 0.02, -0.01]);
+        let problem = GivenPoses { poses: &given, rates: &[[0.3, -0.2, 0.5, 0.1, 0.4, -0.3]], center_w };
+        let shared = Shared { hand_eye: pose([0.01, -0.02, 0.015, 0.01, 0.02, -0.01]), time_s: 0.02 };
         // At the base itself the derivatives of the rotation are exact.
-        let x = given[0] * hand_eye;
-        let at = |x: &DPose3, e: &DPose3| problem.deviations(0, x, e).map(|d| d.value);
+        let x = problem.base(0, &shared);
+        let at = |x: &DPose3, shared: &Shared| problem.deviations(0, x, shared).map(|d| d.value);
         let step = 1e-6;
-        for (r, d) in problem.deviations(0, &x, &hand_eye).iter().enumerate() {
+        for (r, d) in problem.deviations(0, &x, &shared).iter().enumerate() {
             for a in 0..6 {
                 let mut unit = [0.0; 6];
                 unit[a] = step;
-                let moved = at(&(moved_about(center_w, &unit) * x), &hand_eye)[r];
+                let moved = at(&(moved_about(center_w, &unit) * x), &shared)[r];
                 unit[a] = -step;
-                let back = at(&(moved_about(center_w, &unit) * x), &hand_eye)[r];
+                let back = at(&(moved_about(center_w, &unit) * x), &shared)[r];
                 let expected = (moved - back) / (2.0 * step);
                 assert!((d.row.frames[0].1[a] - expected).abs() < 1e-6, "{r} {a}");
-
+            }
+            for k in HAND_EYE..COMMON {
                 let mut unit = [0.0; COMMON];
-                unit[HAND_EYE + a] = step;
-                let moved = at(&x, &hand_eye_after(&hand_eye, &unit))[r];
-                let expected = (moved - d.value) / step;
-                assert!((d.row.common[HAND_EYE + a] - expected).abs() < 1e-5, "{r} {a}");
+                unit[k] = step;
+                let expected = (at(&x, &shared.after(&unit))[r] - d.value) / step;
+                assert!((d.row.common[k] - expected).abs() < 1e-5, "{r} {k}");
             }
         }
+    }
+
+    #[test]
+    fn rates_are_those_of_a_steady_motion() {
+        let twist = DVec3::new(0.1, -0.2, 0.3);
+        let at = |t: f64| {
+            DPose3::from_parts(
+                DVec3::new(0.5, 1.0, -0.2) * t,
+                DQuat::from_scaled_axis(twist * t) * DQuat::from_rotation_x(1.0),
+            )
+        };
+        // Times need not be even.
+        let times = [0.0, 0.1, 0.25, 0.3];
+        let found = rates(&times.map(at), &times.map(Some));
+        for rate in &found {
+            let expected = [0.1, -0.2, 0.3, 0.5, 1.0, -0.2];
+            assert!(rate.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{rate:?}");
+        }
+        assert_eq!(rates(&times.map(at), &[None; 4]), [[0.0; 6]; 4]);
     }
 
     #[test]

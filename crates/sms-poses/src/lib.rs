@@ -11,7 +11,7 @@
 //!   motion that they know nothing about. Derivatives of colour have the same fault, and are used as instruments in the
 //!   end: the noise of one image is independent of that of the other;
 //! - the given poses are measurements: frame i is near `given_i · E`, with a correction E that all frames share (the
-//!   camera on its hand or motion-capture body), up to noise, independent or drifting, whose size is estimated;
+//!   camera on its hand or motion-capture body) and a time offset, up to noise, independent or drifting, whose size is estimated;
 //! - all corrections are solved for together (Gauss-Newton with robust weights, coarse to fine; conjugate gradients
 //!   over 6 × 6 blocks). No single frame is held fixed: at the end, all cameras are moved rigidly so that the measured
 //!   points are closest, in the least-squares sense, to their positions under the given poses;
@@ -66,7 +66,7 @@ pub use config::{PosesConfig, PosesMode};
 pub use judge::{Consistency, Gain, Judgement};
 pub use modes::{CommonMode, ModeKind};
 pub use odometry::{Trajectory, track_cameras};
-pub use report::{GivenSigma, HandEye, PoseCorrection, PoseOrigin, PoseReport, PoseVerdict};
+pub use report::{GivenSigma, HandEye, PoseCorrection, PoseOrigin, PoseReport, PoseVerdict, TimeOffset};
 pub use size::{ExtentUncertainty, SizeUncertainty};
 
 use glamx::DPose3;
@@ -106,7 +106,8 @@ pub fn refine_poses(
     config.validate()?;
     let given: Vec<DPose3> = sequence.frames.iter().map(|f| f.camera.x_wc).collect();
     let views = views::views(sequence, config);
-    let problem = BundleAdjustment::new(&views, &given, config);
+    let times_s: Vec<Option<f64>> = sequence.frames.iter().map(|f| f.time_s).collect();
+    let problem = BundleAdjustment::new(&views, &given, &times_s, config);
     if problem.graph.pairs.is_empty() {
         warnings.add(
             "poses",
@@ -130,7 +131,8 @@ pub fn refine_poses(
     let Refined {
         poses,
         color_shift_px,
-        hand_eye,
+        shared,
+        time_sigma_s,
         deviations,
         noise,
         floor,
@@ -159,7 +161,8 @@ pub fn refine_poses(
         pairs: problem.graph.pairs.len(),
         iterations,
         color_shift_px,
-        hand_eye: Some(HandEye::of(&hand_eye)),
+        hand_eye: Some(HandEye::of(&shared.hand_eye)),
+        time_offset: time_sigma_s.map(|sigma_s| TimeOffset { value_s: shared.time_s, sigma_s }),
         given_sigma: Some(given_sigma),
         pair_floor_m: Some(floor.shift_m),
         depth_noise,

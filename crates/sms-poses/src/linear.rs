@@ -10,10 +10,13 @@ pub(crate) type Block = [[f64; 6]; 6];
 /// A correction (turn, shift) or its gradient.
 pub(crate) type Six = [f64; 6];
 
-/// Values common to all frames: the colour shift (x, y), then the correction of the hand-eye pose (turn, shift).
-pub(crate) const COMMON: usize = 8;
+/// Values common to all frames: the colour shift (x, y), the correction of the hand-eye pose (turn, shift), then the time offset of
+/// the given poses.
+pub(crate) const COMMON: usize = 9;
 /// First of the values of the hand-eye pose.
 pub(crate) const HAND_EYE: usize = 2;
+/// The time offset, seconds.
+pub(crate) const TIME: usize = 8;
 /// The common values or their gradient.
 pub(crate) type Common = [f64; COMMON];
 

@@ -4,10 +4,10 @@ use crate::PosesConfig;
 use crate::align::{align_rigidly, moved_about};
 use crate::covariance::Covariance;
 use crate::floor::{PairFloor, PairForm};
-use crate::given::{GivenNoise, GivenPoses, hand_eye_after};
+use crate::given::{GivenNoise, GivenPoses, Shared, rates};
 use crate::graph::{Graph, choose_pairs};
 use crate::histogram::ResidualStats;
-use crate::linear::{COMMON, HAND_EYE, Six, System};
+use crate::linear::{COMMON, HAND_EYE, Six, System, TIME};
 use crate::modes::{CommonMode, largest_mode};
 use crate::noise::depth_noise;
 use crate::pair::{PairSums, ShiftSums};
@@ -24,6 +24,8 @@ use sms_frames::DepthNoise;
 pub(crate) struct BundleAdjustment<'a> {
     pub(crate) views: &'a [PreparedFrame],
     pub(crate) given: &'a [DPose3],
+    /// Time of each frame, seconds.
+    times_s: &'a [Option<f64>],
     pub(crate) graph: Graph,
     pub(crate) config: &'a PosesConfig,
     /// Centre of rotation of the corrections.
@@ -39,8 +41,10 @@ struct RefinementState {
     /// Surface directions of each frame under the present poses.
     directions: Vec<Vec<Direction>>,
     poses: Vec<DPose3>,
-    /// Correction of the hand-eye pose: `given · hand_eye` is near the pose of the camera.
-    hand_eye: DPose3,
+    /// Motion of the camera at each frame.
+    rates: Vec<Six>,
+    /// Corrections of the given poses that all frames share.
+    shared: Shared,
     /// Shift of the colour against the depth, pixels at loaded size.
     color_shift: [f64; 2],
     /// Size of a shift that is held at zero, as it was estimated.
@@ -64,7 +68,9 @@ pub(crate) struct Refined {
     pub(crate) poses: Vec<DPose3>,
     /// Shift of the colour against the depth, pixels at loaded size.
     pub(crate) color_shift_px: [f64; 2],
-    pub(crate) hand_eye: DPose3,
+    pub(crate) shared: Shared,
+    /// Standard deviation of the time offset, seconds; `None` if the times of the frames are not known.
+    pub(crate) time_sigma_s: Option<f64>,
     /// Deviation of each frame from its given pose with the hand-eye correction: metres, radians.
     pub(crate) deviations: Vec<[f64; 2]>,
     pub(crate) noise: GivenNoise,
@@ -115,7 +121,12 @@ pub(crate) fn arcs(pairs: &[(usize, usize)]) -> Vec<Arc> {
 }
 
 impl<'a> BundleAdjustment<'a> {
-    pub(crate) fn new(views: &'a [PreparedFrame], given: &'a [DPose3], config: &'a PosesConfig) -> Self {
+    pub(crate) fn new(
+        views: &'a [PreparedFrame],
+        given: &'a [DPose3],
+        times_s: &'a [Option<f64>],
+        config: &'a PosesConfig,
+    ) -> Self {
         let mut sum = DVec3::ZERO;
         let (mut square, mut count) = (0.0, 0usize);
         let mut depths_m = Vec::with_capacity(views.len());
@@ -132,7 +143,7 @@ impl<'a> BundleAdjustment<'a> {
         let center_w = if count > 0 { sum / count as f64 } else { DVec3::ZERO };
         let arm_m = (square / count.max(1) as f64 - center_w.length_squared()).max(0.0).sqrt();
         let graph = choose_pairs(&views.iter().collect::<Vec<_>>(), given, config);
-        Self { views, given, graph, config, center_w, arm_m, depths_m }
+        Self { views, given, times_s, graph, config, center_w, arm_m, depths_m }
     }
 
     /// Returns the frames without a pair; only the prior constrains them.
@@ -162,8 +173,8 @@ impl<'a> BundleAdjustment<'a> {
         arcs.par_iter().map(sums).collect()
     }
 
-    fn given_poses(&self) -> GivenPoses<'_> {
-        GivenPoses { poses: self.given, center_w: self.center_w }
+    fn given_poses<'b>(&'b self, estimate: &'b RefinementState) -> GivenPoses<'b> {
+        GivenPoses { poses: self.given, rates: &estimate.rates, center_w: self.center_w }
     }
 
     /// Returns the points of each frame that the refinement compares, with colour that is shifted by `color_shift`.
@@ -174,8 +185,9 @@ impl<'a> BundleAdjustment<'a> {
         views.par_iter().map(of).collect()
     }
 
-    /// Replaces the normals by those of all frames together.
-    fn fuse_normals(&self, estimate: &mut RefinementState) {
+    /// Replaces the normals by those of all frames together, and the rates by those of the present poses.
+    fn renew_surfaces_and_rates(&self, estimate: &mut RefinementState) {
+        estimate.rates = rates(&estimate.poses, self.times_s);
         let alone: Vec<DirectedFrame<'_>> = self.views.iter().map(PreparedFrame::alone).collect();
         let points = self.points(&alone, 0, [0.0; 2]);
         let cell_m = CELL_SHARE * self.config.point_stride * self.pixel_at_scene_m(0);
@@ -247,13 +259,14 @@ impl<'a> BundleAdjustment<'a> {
             let sigma_px = if shift_is_free[k] { config.prior_color_shift_px } else { 0.0 };
             system.add_common(k, estimate.color_shift[k], weight_of(sigma_px));
         }
-        let turn = estimate.hand_eye.rotation.to_scaled_axis();
-        let shift = estimate.hand_eye.translation;
+        let turn = estimate.shared.hand_eye.rotation.to_scaled_axis();
+        let shift = estimate.shared.hand_eye.translation;
         for k in 0..3 {
             system.add_common(HAND_EYE + k, turn[k], weight_of(config.prior_hand_eye_rad));
             system.add_common(HAND_EYE + 3 + k, shift[k], weight_of(config.prior_hand_eye_m));
         }
-        self.given_poses().add_to(&mut system, &estimate.poses, &estimate.hand_eye, &estimate.noise);
+        system.add_common(TIME, estimate.shared.time_s, weight_of(config.prior_time_offset_s));
+        self.given_poses(estimate).add_to(&mut system, &estimate.poses, &estimate.shared, &estimate.noise);
         system
     }
 
@@ -262,7 +275,8 @@ impl<'a> BundleAdjustment<'a> {
         RefinementState {
             directions: self.views.iter().map(|v| v.directions.clone()).collect(),
             poses: self.given.to_vec(),
-            hand_eye: DPose3::identity(),
+            rates: vec![[0.0; 6]; self.given.len()],
+            shared: Shared::default(),
             color_shift: [0.0; 2],
             apparent_shift_px: [0.0; 2],
             phase: Phase::Approach,
@@ -293,7 +307,7 @@ impl<'a> BundleAdjustment<'a> {
             let shift_step = [common[0], common[1]];
             let RefinementState { poses, color_shift, arcs, .. } = estimate;
             (0..2).for_each(|k| color_shift[k] += shift_step[k]);
-            estimate.hand_eye = hand_eye_after(&estimate.hand_eye, &common);
+            estimate.shared = estimate.shared.after(&common);
             let mut largest = 0.0f64;
             for (pose, step) in poses.iter_mut().zip(&steps) {
                 let moved = moved_about(self.center_w, step) * *pose;
@@ -320,7 +334,7 @@ impl<'a> BundleAdjustment<'a> {
         // Passes in which gains, offsets and robust scales settle.
         const PASSES: usize = 3;
         let mut estimate = self.start();
-        self.fuse_normals(&mut estimate);
+        self.renew_surfaces_and_rates(&mut estimate);
         let directions = std::mem::take(&mut estimate.directions);
         let views = self.directed(&directions);
         let points = self.points(&views, 0, estimate.color_shift);
@@ -350,8 +364,12 @@ impl<'a> BundleAdjustment<'a> {
         for _ in 0..NOISE_STEPS {
             let system = self.system(&floored, estimate, shift_is_free);
             let Some(inverse) = system.inverse() else { return };
-            estimate.noise =
-                self.given_poses().noise_after(&inverse, &estimate.poses, &estimate.hand_eye, self.config);
+            estimate.noise = self.given_poses(estimate).noise_after(
+                &inverse,
+                &estimate.poses,
+                &estimate.shared,
+                self.config,
+            );
         }
     }
 
@@ -387,13 +405,13 @@ impl<'a> BundleAdjustment<'a> {
                 at += 1;
                 progress.update(at as u64, message);
             };
-            self.fuse_normals(&mut estimate);
+            self.renew_surfaces_and_rates(&mut estimate);
             iterations += self.refine_level(level, &mut estimate, free, cancel, tick)?;
             done += self.config.iterations[level];
         }
         estimate.phase = Phase::Estimate;
         for round in 0..if levels > 0 { 1 + NOISE_ROUNDS } else { 0 } {
-            self.fuse_normals(&mut estimate);
+            self.renew_surfaces_and_rates(&mut estimate);
             let tick = |message: &str| progress.update(done as u64, message);
             iterations += self.refine_level(0, &mut estimate, free, cancel, tick)?;
             if round == NOISE_ROUNDS {
@@ -406,14 +424,16 @@ impl<'a> BundleAdjustment<'a> {
         let views = self.directed(&estimate.directions);
         let points = self.points(&views, 0, estimate.color_shift);
         let depth_noise = depth_noise(&views, &points, &estimate.poses, &self.graph.pairs);
-        let uncertainty = if levels > 0 { self.uncertainty(&estimate, free) } else { None };
-        let (centers_w, shifts) = self.given_poses().shifts(&estimate.poses, &estimate.hand_eye);
+        let (uncertainty, time_sigma_s) =
+            if levels > 0 { self.uncertainty(&estimate, free) } else { (None, None) };
+        let (centers_w, shifts) = self.given_poses(&estimate).shifts(&estimate.poses, &estimate.shared);
         let common_mode = largest_mode(&centers_w, &shifts, &estimate.noise);
         Ok(Refined {
             poses: self.in_place(&estimate.poses),
             color_shift_px: estimate.color_shift,
-            hand_eye: estimate.hand_eye,
-            deviations: self.given_poses().lengths(&estimate.poses, &estimate.hand_eye),
+            shared: estimate.shared,
+            time_sigma_s,
+            deviations: self.given_poses(&estimate).lengths(&estimate.poses, &estimate.shared),
             noise: estimate.noise,
             floor: estimate.floor,
             depth_noise,
@@ -473,9 +493,13 @@ impl<'a> BundleAdjustment<'a> {
         }
     }
 
-    /// Returns the uncertainty of the scene's size.
-    fn uncertainty(&self, estimate: &RefinementState, shift_is_free: [bool; 2]) -> Option<SizeUncertainty> {
-        let coarse = self.views.first()?.luma.len() - 1;
+    /// Returns the uncertainty of the scene's size, and the standard deviation of the time offset.
+    fn uncertainty(
+        &self,
+        estimate: &RefinementState,
+        shift_is_free: [bool; 2],
+    ) -> (Option<SizeUncertainty>, Option<f64>) {
+        let coarse = self.views.first().map_or(0, |v| v.luma.len() - 1);
         let points: Vec<Vec<Point>> = self
             .directed(&estimate.directions)
             .iter()
@@ -483,9 +507,11 @@ impl<'a> BundleAdjustment<'a> {
             .collect();
         let forms = self.forms(&self.pass(0, estimate));
         self.with_covariance(&forms, estimate, shift_is_free, |covariance| {
-            SizeUncertainty::of(covariance, &estimate.poses, &points, self.center_w)
+            let size = SizeUncertainty::of(covariance, &estimate.poses, &points, self.center_w);
+            let is_timed = estimate.rates.iter().any(|rate| *rate != [0.0; 6]);
+            (size, covariance.common_sigma(TIME).filter(|_| is_timed))
         })
-        .flatten()
+        .unwrap_or_default()
     }
 
     /// Removes the common rigid motion: aligns the measured points with their positions under the given poses, so that

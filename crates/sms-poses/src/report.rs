@@ -33,6 +33,22 @@ impl HandEye {
     }
 }
 
+/// The time offset between the given poses and the images: the pose of an image is that given so much later.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TimeOffset {
+    /// Its value, seconds.
+    pub value_s: f64,
+    /// Its standard deviation, seconds.
+    pub sigma_s: f64,
+}
+
+impl TimeOffset {
+    /// Returns whether it is more than chance.
+    pub fn is_significant(&self) -> bool {
+        self.value_s.abs() > 3.0 * self.sigma_s
+    }
+}
+
 /// Estimated standard deviations of the given poses per axis, after the correction that they share.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct GivenSigma {
@@ -116,6 +132,9 @@ pub struct PoseReport {
     /// The correction that all frames share; like all that follows, `None` without a refinement.
     #[serde(default)]
     pub hand_eye: Option<HandEye>,
+    /// Time offset of the given poses; also `None` if the times of the frames are not known.
+    #[serde(default)]
+    pub time_offset: Option<TimeOffset>,
     /// Noise of the given poses.
     #[serde(default)]
     pub given_sigma: Option<GivenSigma>,
@@ -196,6 +215,9 @@ impl PoseReport {
             m.set("poses.color_before", j.before.color_median).set("poses.color_after", j.after.color_median);
             m.set("poses.color_shift_x_px", self.color_shift_px[0]);
             m.set("poses.color_shift_y_px", self.color_shift_px[1]);
+            if let Some(time) = &self.time_offset {
+                m.set("poses.time_offset_s", time.value_s).set("poses.time_offset_sigma_s", time.sigma_s);
+            }
             if let Some(size) = &self.size {
                 m.set("poses.scale_sigma", size.scale_sigma);
                 m.set("poses.size_sigma_m", size.weakest().map(|e| e.sigma_m));
@@ -215,6 +237,9 @@ impl PoseReport {
         }
         m.set("check.color_shift_x_px", self.color_shift_px[0]);
         m.set("check.color_shift_y_px", self.color_shift_px[1]);
+        if let Some(time) = self.time_offset.filter(|_| self.origin == PoseOrigin::Recorded) {
+            m.set("check.time_offset_s", time.value_s).set("check.time_offset_sigma_s", time.sigma_s);
+        }
         if let Some(sigma) = self.given_sigma.filter(|_| self.origin == PoseOrigin::Recorded) {
             m.set("check.pose_sigma_m", sigma.position_m).set("check.pose_sigma_rad", sigma.rotation_rad);
         }
@@ -241,6 +266,18 @@ impl PoseReport {
             format!("colour            {du:+.1}, {dv:+.1} pixels (right, down) beside the depth")
         });
         let are_recorded = self.origin == PoseOrigin::Recorded;
+        if let Some(time) = self.time_offset.filter(|_| are_recorded) {
+            let (value, sigma) = (1e3 * time.value_s, 1e3 * time.sigma_s);
+            lines.push(if time.is_significant() {
+                let side = if value > 0.0 { "later" } else { "earlier" };
+                format!(
+                    "time offset       an image has the pose that is given {:.0} ms {side} (±{sigma:.0} ms)",
+                    value.abs()
+                )
+            } else {
+                format!("time offset       none between poses and images is seen (±{sigma:.0} ms)")
+            });
+        }
         if let (Some(sigma), Some(common), true) = (&self.given_sigma, &self.hand_eye, are_recorded) {
             let length = |v: [f64; 3]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
             lines.push(format!(

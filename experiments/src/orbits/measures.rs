@@ -3,7 +3,9 @@
 use super::Orbit;
 use glamx::{DPose3, DVec3};
 use sms_core::Camera;
+use sms_frames::{DepthNoise, normals_from_depth};
 use sms_poses::align_rigidly;
+use std::collections::BTreeMap;
 
 /// Distance of the used points from the edges of a face, metres: depth beside edges is mixed.
 const MARGIN_M: f64 = 0.02;
@@ -80,6 +82,46 @@ pub fn box_errors(orbit: &Orbit, poses: &[DPose3]) -> BoxErrors {
     BoxErrors { width_m: error(0), depth_m: error(1) }
 }
 
+/// Edge of the cells in which measurements are averaged, metres, and fewest measurements of a cell.
+const CELL_M: f64 = 0.01;
+const LEAST_IN_CELL: usize = 20;
+
+/// Fuses the measurements of all frames with these poses in small cells of the true surface, and returns the distance of their means
+/// from it: root mean square over the cells, after the rigid motion that fits best.
+pub(super) fn surface_error_m(orbit: &Orbit, poses: &[DPose3]) -> f64 {
+    let mut points: Vec<(DVec3, DVec3, DVec3)> = Vec::new();
+    for ((frame, x_wc), true_depth) in orbit.sequence.frames.iter().zip(poses).zip(&orbit.true_depth) {
+        let moved = Camera { x_wc: *x_wc, ..frame.camera };
+        let k = &frame.camera.intrinsics;
+        let normals = normals_from_depth(true_depth, k, &DepthNoise { a_m: 1e-4, b_per_m: 1e-4 }, 2);
+        for y in (0..true_depth.height).step_by(2) {
+            for x in (0..true_depth.width).step_by(2) {
+                let (measured, z) = (f64::from(frame.depth[(x, y)]), f64::from(true_depth[(x, y)]));
+                let normal_c = DVec3::from_array(normals[(x, y)].map(f64::from));
+                if measured > 0.0 && z > 0.0 && (measured - z).abs() < 0.05 * z && normal_c != DVec3::ZERO {
+                    let true_w = frame.camera.unproject_pixel(x, y, z);
+                    let normal_w = frame.camera.x_wc.rotation * normal_c;
+                    points.push((moved.unproject_pixel(x, y, measured), true_w, normal_w));
+                }
+            }
+        }
+    }
+    let some = || points.iter().step_by(8);
+    let from: Vec<DVec3> = some().map(|p| p.0).collect();
+    let to: Vec<DVec3> = some().map(|p| p.1).collect();
+    let x = align_rigidly(&from, &to);
+    let mut cells: BTreeMap<[i64; 3], (f64, usize)> = BTreeMap::new();
+    for (p_w, true_w, normal_w) in &points {
+        let cell = (*true_w / CELL_M).to_array().map(|v| v.floor() as i64);
+        let (sum, count) = cells.entry(cell).or_default();
+        *sum += normal_w.dot(x.transform_point(*p_w) - *true_w);
+        *count += 1;
+    }
+    let means: Vec<f64> =
+        cells.values().filter(|c| c.1 >= LEAST_IN_CELL).map(|(sum, count)| sum / *count as f64).collect();
+    (means.iter().map(|m| m * m).sum::<f64>() / means.len().max(1) as f64).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -101,6 +143,8 @@ mod tests {
         let moved: Vec<DPose3> = truth.iter().map(outwards).collect();
         assert!(center_scale(&moved, &truth) > 1.0008);
         let found = box_errors(&orbit, &moved);
+        let surfaces = [&truth, &moved].map(|poses| surface_error_m(&orbit, poses));
+        assert!(surfaces[0] < 6e-4 && surfaces[1] > 1.2 * surfaces[0], "{surfaces:?}");
         let larger = [found.width_m - exact.width_m, found.depth_m - exact.depth_m];
         assert!(larger.iter().all(|e| (0.0012..0.0021).contains(e)), "{larger:?}");
     }

@@ -6,6 +6,7 @@ mod scene;
 mod table;
 
 pub use disturbed::PoseFault;
+use measures::surface_error_m;
 pub use measures::{BoxErrors, box_errors, center_scale};
 pub(crate) use scene::Rendered;
 pub use scene::{Orbit, OrbitKind};
@@ -41,6 +42,8 @@ pub fn refine_orbit(
         scale: center_scale(&refined_poses, &poses_of(&orbit.sequence)),
         faces_before: box_errors(orbit, &poses_of(&given)),
         faces: box_errors(orbit, &refined_poses),
+        surface_m: surface_error_m(orbit, &refined_poses),
+        surface_true_m: surface_error_m(orbit, &poses_of(&orbit.sequence)),
         is_improved: refined.report.verdict == PoseVerdict::Refined && refined.report.judgement.improved(),
         is_refused: refined.report.common_mode.is_some_and(|mode| !mode.is_allowed()),
         sigmas: refined.report.size.as_ref().map(Sigmas::of).unwrap_or_default(),

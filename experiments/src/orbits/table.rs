@@ -18,7 +18,11 @@ pub struct OrbitRow {
     pub faces_before: BoxErrors,
     /// Errors of the box with the refined poses.
     pub faces: BoxErrors,
-    /// Their standard deviations as stated.
+    /// Error of the fused surfaces with the refined poses, metres.
+    pub surface_m: f64,
+    /// That with the true poses.
+    pub surface_true_m: f64,
+    /// Standard deviations of scale and box as stated.
     pub sigmas: Sigmas,
     /// Whether the refined poses are judged better.
     pub is_improved: bool,
@@ -70,13 +74,14 @@ fn mean_and_rms(values: impl Iterator<Item = f64>) -> (f64, f64) {
 }
 
 /// Figures of each scene and fault, in the order of [`COLUMNS`].
-fn figures(rows: &[&OrbitRow]) -> [(&'static str, f64); 14] {
+fn figures(rows: &[&OrbitRow]) -> [(&'static str, f64); 16] {
     let of = |f: fn(&OrbitRow) -> f64| mean_and_rms(rows.iter().map(|r| f(r)));
     let (scale_bias, scale_rms) = of(|r| r.scale - 1.0);
     let (width_bias_m, width_rms_m) = of(|r| r.faces.width_m);
     let (depth_bias_m, depth_rms_m) = of(|r| r.faces.depth_m);
     let share =
         |is: fn(&OrbitRow) -> bool| rows.iter().filter(|r| is(r)).count() as f64 / rows.len().max(1) as f64;
+    let (surface_m, _) = of(|r| r.surface_m);
     // The share of the errors within the stated 90 % intervals, of scale, width and depth together.
     let stated = rows.iter().flat_map(|r| {
         let s = r.sigmas;
@@ -99,6 +104,8 @@ fn figures(rows: &[&OrbitRow]) -> [(&'static str, f64); 14] {
         ("depth_bias_m", depth_bias_m),
         ("depth_rms_m", depth_rms_m),
         ("depth_sigma_m", sigma(|s| s.depth_m)),
+        ("surface_m", surface_m),
+        ("surface_ratio", of(|r| r.surface_m / r.surface_true_m).0),
         ("coverage", coverage),
         ("improved_share", share(|r| r.is_improved)),
         ("refused_share", share(|r| r.is_refused)),
@@ -120,7 +127,7 @@ pub fn orbit_metrics(rows: &[OrbitRow]) -> Metrics {
 }
 
 /// Headings of [`figures`], with the factor to the shown unit, the digits and the unit.
-const COLUMNS: [(&str, f64, usize, &str); 14] = [
+const COLUMNS: [(&str, f64, usize, &str); 16] = [
     ("scale bias", 1e2, 3, " %"),
     ("rms", 1e2, 3, " %"),
     ("σ", 1e2, 3, " %"),
@@ -131,6 +138,8 @@ const COLUMNS: [(&str, f64, usize, &str); 14] = [
     ("depth bias", 1e3, 2, " mm"),
     ("rms", 1e3, 2, " mm"),
     ("σ", 1e3, 2, " mm"),
+    ("surface", 1e3, 2, " mm"),
+    ("of true", 1.0, 2, ""),
     ("in 90 %", 1e2, 0, " %"),
     ("better", 1e2, 0, " %"),
     ("refused", 1e2, 0, " %"),
@@ -162,6 +171,8 @@ mod tests {
             scale,
             faces_before: BoxErrors::default(),
             faces: BoxErrors { width_m, depth_m: 0.0 },
+            surface_m: 3e-4,
+            surface_true_m: 2e-4,
             sigmas: Sigmas { scale: Some(0.01), width_m: Some(0.001), depth_m: None },
             is_improved: width_m > 0.0,
             is_refused: width_m < 0.0,
@@ -181,6 +192,7 @@ mod tests {
         assert!((n("width_rms_m") - 5f64.sqrt() * 1e-3).abs() < 1e-12);
         // Of two scales and two widths, one width is beyond its interval.
         assert_eq!((n("coverage"), n("width_sigma_m")), (0.75, 0.001));
+        assert!((n("surface_ratio") - 1.5).abs() < 1e-12);
         assert_eq!(orbit_table(&rows).lines().count(), 3);
     }
 }

@@ -139,3 +139,33 @@ fn depth_in_another_unit_is_refused_and_told() {
     assert_eq!(poses(&result.sequence), poses(&given));
     assert!(result.report.relative_size_sigma().unwrap() > 0.01);
 }
+
+#[test]
+fn poses_of_another_time_are_told_from_noise_and_from_the_mount() {
+    let mut truth = billiards(1, 30);
+    // The camera moves at a changing speed: at a constant one, a delay is a shift along the path that all frames share.
+    let time_s = |i: usize| 0.1 * i as f64 + 0.06 * (0.7 * i as f64).sin();
+    truth.frames.iter_mut().enumerate().for_each(|(i, f)| f.time_s = Some(time_s(i)));
+    for late_s in [0.0, 0.03] {
+        // The pose that an image has is given so much later.
+        let mut given = disturbed(&truth, 0.001, 0.05);
+        let n = given.len();
+        for i in 1..n - 1 {
+            let (before, after) = (truth.frames[i - 1].camera.x_wc, truth.frames[i + 1].camera.x_wc);
+            let share = late_s / (time_s(i + 1) - time_s(i - 1));
+            let turn = (after.rotation * before.rotation.inverse()).to_scaled_axis();
+            let x = &mut given.frames[i].camera.x_wc;
+            x.translation -= share * (after.translation - before.translation);
+            x.rotation = DQuat::from_scaled_axis(-share * turn) * x.rotation;
+        }
+        given.frames = given.frames[1..n - 1].to_vec();
+        let report = refine(&given, PosesMode::Refine).report;
+        let found = report.time_offset.unwrap();
+        eprintln!("{late_s} s: {found:?}");
+        assert!((found.value_s - late_s).abs() < (3.0 * found.sigma_s).max(0.0015), "{found:?}");
+        assert!(found.sigma_s < 0.008, "{found:?}");
+        assert_eq!(found.is_significant(), late_s > 0.0, "{found:?}");
+    }
+    let untimed = refine(&billiards(1, 12), PosesMode::Refine).report;
+    assert_eq!(untimed.time_offset, None);
+}
