@@ -3,14 +3,14 @@
 
 use super::matching::{LEAST_INLIERS, likeness, motion_by_features};
 use super::pose_graph::{Edge, settle};
-use super::tracker::{Keyframe, trusted_registration};
+use super::tracker::{GATE_SHARE, Keyframe, trusted_registration};
 use crate::PosesConfig;
 use crate::graph::choose_pairs;
 use crate::views::PreparedFrame;
-use glamx::DPose3;
+use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use sms_core::{Cancel, CoreError, Seed};
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::BTreeSet;
 
 /// Most similar keyframes that each keyframe is compared with.
 const ALIKE: usize = 4;
@@ -86,42 +86,66 @@ fn near_pairs(keyframes: &[Keyframe], edges: &[Edge], config: &PosesConfig) -> V
     pieces.into_iter().flat_map(of_piece).filter(|pair| !known.contains(pair)).collect()
 }
 
-/// Gives keyframes that edges connect one piece and one world: that of the piece with the most keyframes.
+/// A place that an edge gives to the keyframes of another piece.
+#[derive(Debug, Clone, Copy)]
+struct Bridge {
+    /// The other piece.
+    piece: usize,
+    /// Motion that carries its world to that of the first piece.
+    moved: DPose3,
+    /// Point that its keyframe sees, in its world.
+    seen_w: DVec3,
+    /// Distance within which two places of the point are the same, metres.
+    gate_m: f64,
+}
+
+/// Gives keyframes that edges connect one piece and one world: that of the piece with the most keyframes. Of several edges between
+/// two pieces, that on which most others agree tells their place: a wrong one is alone.
 fn join_pieces(keyframes: &mut [Keyframe], edges: &[Edge]) {
-    let mut reached = vec![false; keyframes.len()];
     let size = |piece: usize| keyframes.iter().filter(|k| k.piece == piece).count();
     let mut order: Vec<usize> = (0..keyframes.len()).collect();
     order.sort_by_key(|&k| (std::cmp::Reverse(size(keyframes[k].piece)), k));
     for root in order {
-        if reached[root] {
-            continue;
-        }
         let piece = keyframes[root].piece;
-        // Keyframes of the same piece keep their poses; those of others follow the first edge that reaches them.
-        let mut queue: VecDeque<usize> =
-            (0..keyframes.len()).filter(|&k| keyframes[k].piece == piece).collect();
-        queue.iter().for_each(|&k| reached[k] = true);
-        while let Some(at) = queue.pop_front() {
-            for edge in edges.iter().filter(|e| e.from == at || e.to == at) {
-                let (other, x_ao) = if edge.from == at {
-                    (edge.to, edge.motion.x_ab)
-                } else {
-                    (edge.from, edge.motion.x_ab.inverse())
-                };
-                if reached[other] {
-                    continue;
-                }
-                let moved = keyframes[at].x_wc * x_ao * keyframes[other].x_wc.inverse();
-                let joined = keyframes[other].piece;
-                for k in (0..keyframes.len()).filter(|&k| keyframes[k].piece == joined).collect::<Vec<_>>() {
-                    keyframes[k].x_wc = moved * keyframes[k].x_wc;
-                    keyframes[k].piece = piece;
-                    reached[k] = true;
-                    queue.push_back(k);
-                }
+        while let Some(bridge) = firmest(&bridges(keyframes, edges, piece)) {
+            for keyframe in keyframes.iter_mut().filter(|k| k.piece == bridge.piece) {
+                keyframe.x_wc = bridge.moved * keyframe.x_wc;
+                keyframe.piece = piece;
             }
         }
     }
+}
+
+/// Returns the places that edges give to other pieces in the world of a piece.
+fn bridges(keyframes: &[Keyframe], edges: &[Edge], piece: usize) -> Vec<Bridge> {
+    let of = |edge: &Edge| {
+        let (from, to) = (&keyframes[edge.from], &keyframes[edge.to]);
+        let (own, other, x_ao) = match (from.piece == piece, to.piece == piece) {
+            (true, false) => (from, to, edge.motion.x_ab),
+            (false, true) => (to, from, edge.motion.x_ab.inverse()),
+            _ => return None,
+        };
+        let depth_m = other.view.mean_depth_m();
+        Some(Bridge {
+            piece: other.piece,
+            moved: own.x_wc * x_ao * other.x_wc.inverse(),
+            seen_w: other.x_wc.transform_point(DVec3::Z * depth_m),
+            gate_m: GATE_SHARE * depth_m,
+        })
+    };
+    edges.iter().filter_map(of).collect()
+}
+
+/// Returns the bridge with the most bridges to the same piece that agree with it, the first of equal ones.
+fn firmest(bridges: &[Bridge]) -> Option<Bridge> {
+    let agreeing = |a: &Bridge| {
+        let agrees = |b: &&Bridge| {
+            let off = a.moved.transform_point(a.seen_w).distance(b.moved.transform_point(a.seen_w));
+            a.piece == b.piece && off <= a.gate_m
+        };
+        bridges.iter().filter(agrees).count()
+    };
+    bridges.iter().rev().max_by_key(|a| agreeing(a)).copied()
 }
 
 /// Settles the poses of all pieces, and drops the edges that contradict the others.
@@ -151,4 +175,27 @@ fn connected(keyframes: &mut [Keyframe], edges: &[Edge]) -> Vec<usize> {
         }
     }
     (0..keyframes.len()).filter(|&k| keyframes[k].piece == k).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DQuat;
+
+    #[test]
+    fn the_place_on_which_most_bridges_agree_wins() {
+        let bridge = |piece, shift_m: f64| Bridge {
+            piece,
+            moved: DPose3::from_parts(DVec3::X * shift_m, DQuat::from_rotation_z(0.3)),
+            seen_w: DVec3::new(0.2, -0.1, 1.0),
+            gate_m: 0.06,
+        };
+        // A wrong bridge comes first, and another piece has a bridge at the same place.
+        let all = [bridge(1, 2.0), bridge(2, 2.0), bridge(1, 0.5), bridge(1, 0.52)];
+        let found = firmest(&all).unwrap();
+        assert_eq!((found.piece, found.moved.translation.x), (1, 0.5));
+        // Alone, each is trusted.
+        assert_eq!(firmest(&all[..1]).unwrap().moved.translation.x, 2.0);
+        assert!(firmest(&[]).is_none());
+    }
 }
