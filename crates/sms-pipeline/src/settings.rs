@@ -246,6 +246,10 @@ fn has_key(table: &toml::Table, key: &str) -> bool {
     }
 }
 
+/// Keys of earlier versions: section, key, and the key that took their place.
+const MOVED: [(&str, &str, &str); 2] =
+    [("scan", "noise", "frames.noise"), ("poses", "noise", "frames.noise")];
+
 /// Converts serde's error about a key or a value, and adds similar names.
 fn fault(section: &str, source: impl AsRef<Path>, error: &toml::de::Error) -> InputError {
     let text = error.to_string();
@@ -256,7 +260,13 @@ fn fault(section: &str, source: impl AsRef<Path>, error: &toml::de::Error) -> In
         _ => Vec::new(),
     };
     let list = format!("`sms settings` lists the keys of [{section}] with their values");
-    let cure = if near.is_empty() { list } else { format!("did you mean {}? {list}", near.join(" or ")) };
+    let moved =
+        MOVED.iter().find(|(old, key, _)| is_unknown && *old == section && quoted.first() == Some(key));
+    let cure = match moved {
+        Some((old, key, now)) => format!("`{old}.{key}` is now `{now}`"),
+        None if near.is_empty() => list,
+        None => format!("did you mean {}? {list}", near.join(" or ")),
+    };
     InputError::new(format!("section [{section}] of the settings has an error"), source, cure)
         .because(text.trim_end().replace('\n', " "))
 }
@@ -389,6 +399,8 @@ mod tests {
         }
         let message = refusal("[scan]\nbatch_steps = 0\n", &["plan.starts=5"]);
         assert!(message.contains("`scan.batch_steps` is 0") && message.contains("mine.toml"), "{message}");
+        let message = refusal("", &["scan.noise.a_m=0.001"]);
+        assert!(message.contains("`frames.noise`"), "{message}");
         let message = refusal("[scan]\nbatch_steps = 5\n", &["scan.seeding={spacing_px = -1.0}"]);
         assert!(
             message.contains("`scan.seeding.spacing_px` is -1") && message.contains("--set scan.seeding"),
