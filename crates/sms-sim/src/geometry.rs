@@ -251,23 +251,27 @@ mod tests {
 
     const CYLINDER: (f64, f64) = (0.05, 0.08);
 
-    fn fine_prism() -> &'static ConvexPolyhedron {
-        static PRISM: LazyLock<ConvexPolyhedron> = LazyLock::new(|| {
+    /// A fine prism as a solid, and its surface: the nearest points of triangles are exact, those of a solid are iterated.
+    fn fine_prism() -> &'static (ConvexPolyhedron, TriMesh) {
+        static PRISM: LazyLock<(ConvexPolyhedron, TriMesh)> = LazyLock::new(|| {
             let prism = Mesh::cylinder(CYLINDER.0, CYLINDER.1, 720);
-            ConvexPolyhedron::from_convex_hull(&prism.vertices).unwrap()
+            let solid = ConvexPolyhedron::from_convex_hull(&prism.vertices).unwrap();
+            (solid, TriMesh::new(prism.vertices, prism.triangles).unwrap())
         });
         &PRISM
     }
 
     proptest! {
-        /// Compares the closed form with the hull of a fine prism.
+        /// Compares the closed form with a fine prism.
         #[test]
         fn nearest_points_of_a_cylinder_are_those_of_a_fine_prism(
             x in -0.2..0.2f64, y in -0.2..0.2f64, z in -0.2..0.2f64,
         ) {
             let (radius, half_length) = CYLINDER;
             let p = DVec3::new(x, y, z);
-            let (expected, inside_prism) = projected(fine_prism().project_local_point(p, false));
+            let (solid, surface) = fine_prism();
+            let (_, inside_prism) = projected(solid.project_local_point(p, false));
+            let (expected, _) = projected(surface.project_local_point(p, false));
             let (q, inside) = nearest_on_cylinder(p, radius, half_length);
             let gap = q.distance(p) - expected.distance(p);
             prop_assert!(gap.abs() < 2e-6, "{p}: {q} {expected}");
