@@ -41,7 +41,7 @@ pub use colors::recorded_colors;
 pub use floor::{FloorAt, floor_at};
 pub use lens::{Distortion, Lens};
 pub use load::{load, load_frame};
-pub use normals::normals_from_depth;
+pub use normals::{normals_at, normals_from_depth};
 pub use options::{Align, Axes, DepthNoise, LoadSettings, PoseDirection, ReadOptions};
 pub use recording::{Notice, RecordedFrame, Recording, RecordingFormat};
 pub use resample::{resample_depth, resize_color, target_intrinsics, undistort_color};

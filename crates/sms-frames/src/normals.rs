@@ -1,7 +1,7 @@
 //! Normals from depth: a weighted plane through each pixel's neighbourhood.
 
 use crate::DepthNoise;
-use crate::plane_fit::{InverseDepthFit, InverseDepthPlane};
+use crate::plane_fit::{InverseDepthFit, InverseDepthPlane, WeightedOffset};
 use sms_core::{DepthImage, Image, Intrinsics, NormalImage};
 
 /// Minimum number of valid pixels in the window.
@@ -23,74 +23,110 @@ pub fn normals_from_depth(
     noise: &DepthNoise,
     radius: usize,
 ) -> NormalImage {
-    let window = Window::new(radius);
-    let mut normals = Image::filled(depth.width, depth.height, [0.0f32; 3]);
-    for y in 0..depth.height {
-        for x in 0..depth.width {
-            if depth[(x, y)] > 0.0
-                && let Some(plane) = window.fit(depth, intrinsics, noise, x, y)
-                && let Some(n) = plane_normal_c(&plane, intrinsics, x as f64 + 0.5, y as f64 + 0.5)
-            {
-                normals[(x, y)] = n;
-            }
-        }
-    }
-    normals
+    let pixels = 0..depth.data.len();
+    let normals = normals_at(pixels.map(Some), depth, intrinsics, noise, radius);
+    Image::from_vec(depth.width, depth.height, normals)
 }
 
-/// The offsets of the window's pixels, with their distance and weight.
-struct Window(Vec<(i64, i64, f64, f64)>);
+/// As [`normals_from_depth`], at the pixels with the given indices only; the normal of `None` is zero.
+pub fn normals_at(
+    pixels: impl Iterator<Item = Option<usize>>,
+    depth: &DepthImage,
+    intrinsics: &Intrinsics,
+    noise: &DepthNoise,
+    radius: usize,
+) -> Vec<[f32; 3]> {
+    let window = Window::new(radius);
+    let fit = Fit { window: &window, depth, inverse: inverse_depths(depth), intrinsics, noise };
+    let normal = |pixel: usize| {
+        let (x, y) = (pixel % depth.width, pixel / depth.width);
+        let plane = (depth.data[pixel] > 0.0).then(|| fit.at(x, y))??;
+        plane_normal_c(&plane, intrinsics, x as f64 + 0.5, y as f64 + 0.5)
+    };
+    pixels.map(|pixel| pixel.and_then(normal).unwrap_or_default()).collect()
+}
+
+/// Returns the inverse of each depth; 0 without a measurement.
+fn inverse_depths(depth: &DepthImage) -> Vec<f64> {
+    depth.data.iter().map(|&z| if z > 0.0 { 1.0 / f64::from(z) } else { 0.0 }).collect()
+}
+
+/// The pixels of a window, row by row.
+struct Window {
+    radius: usize,
+    cells: Vec<Cell>,
+}
+
+/// A pixel of a window.
+struct Cell {
+    dx: f64,
+    dy: f64,
+    /// Distance from the centre, pixels.
+    distance: f64,
+    weighted: WeightedOffset,
+}
 
 impl Window {
     fn new(radius: usize) -> Self {
         let r = radius as i64;
         let falloff = 1.0 / (2.0 * (0.8 * radius.max(1) as f64).powi(2));
-        let offsets = (-r..=r).flat_map(|dy| (-r..=r).map(move |dx| (dx, dy)));
-        Self(
-            offsets
-                .map(|(dx, dy)| {
-                    let d2 = (dx * dx + dy * dy) as f64;
-                    (dx, dy, d2.sqrt(), (-d2 * falloff).exp())
-                })
-                .collect(),
-        )
+        let offsets = (-r..=r).flat_map(|dy| (-r..=r).map(move |dx| (dx as f64, dy as f64)));
+        let cell = |(dx, dy): (f64, f64)| {
+            let d2 = dx * dx + dy * dy;
+            Cell { dx, dy, distance: d2.sqrt(), weighted: WeightedOffset::new(dx, dy, (-d2 * falloff).exp()) }
+        };
+        Self { radius, cells: offsets.map(cell).collect() }
+    }
+}
+
+/// Fits planes to windows of a depth image.
+struct Fit<'a> {
+    window: &'a Window,
+    depth: &'a DepthImage,
+    inverse: Vec<f64>,
+    intrinsics: &'a Intrinsics,
+    noise: &'a DepthNoise,
+}
+
+impl Fit<'_> {
+    fn at(&self, x: usize, y: usize) -> Option<InverseDepthPlane> {
+        let z0 = f64::from(self.depth[(x, y)]);
+        let gate = 3.0 * self.noise.sigma_m(z0);
+        let rise = MAX_SLOPE * self.intrinsics.pixel_footprint(z0);
+        // First a wide gate around the centre pixel, then twice 3σ around the current plane.
+        let mut fit = self.sums(x, y, |cell, z| (z - z0).abs() - rise * cell.distance <= gate)?;
+        for _ in 0..2 {
+            let plane = fit.solve()?;
+            // With inverse depth w > 0 of the plane, |z − 1/w| ≤ gate; the form without a division is false for w ≤ 0.
+            let next = self.sums(x, y, |cell, z| {
+                let w = plane.inverse_depth_at(cell.dx, cell.dy);
+                (z * w - 1.0).abs() <= gate * w
+            })?;
+            if next == fit {
+                return Some(plane);
+            }
+            fit = next;
+        }
+        fit.solve()
     }
 
-    fn fit(
-        &self,
-        depth: &DepthImage,
-        k: &Intrinsics,
-        noise: &DepthNoise,
-        x: usize,
-        y: usize,
-    ) -> Option<InverseDepthPlane> {
-        let z0 = f64::from(depth[(x, y)]);
-        let gate = 3.0 * noise.sigma_m(z0);
-        let rise = MAX_SLOPE * k.pixel_footprint(z0);
-        let mut plane: Option<InverseDepthPlane> = None;
-        // First a wide gate around the centre pixel, then twice 3σ around the current plane.
-        for _ in 0..3 {
-            let mut fit = InverseDepthFit::default();
-            for &(dx, dy, distance, weight) in &self.0 {
-                let Some(&z) = depth.get(x as i64 + dx, y as i64 + dy) else { continue };
-                if z <= 0.0 {
-                    continue;
-                }
-                let (z, dx, dy) = (f64::from(z), dx as f64, dy as f64);
-                let off = match &plane {
-                    None => (z - z0).abs() - rise * distance,
-                    Some(p) => (z - p.depth_at(dx, dy)).abs(),
-                };
-                if off <= gate {
-                    fit.add(dx, dy, 1.0 / z, weight);
+    /// Returns the sums over those depths of the window around (x, y) that `is_inlier` accepts; `None` for too few.
+    fn sums(&self, x: usize, y: usize, is_inlier: impl Fn(&Cell, f64) -> bool) -> Option<InverseDepthFit> {
+        let (w, h, r) = (self.depth.width, self.depth.height, self.window.radius);
+        let (left, right) = (x.saturating_sub(r), (x + r + 1).min(w));
+        let mut fit = InverseDepthFit::default();
+        for v in y.saturating_sub(r)..(y + r + 1).min(h) {
+            let first = (v + r - y) * (2 * r + 1) + left + r - x;
+            let cells = &self.window.cells[first..first + right - left];
+            let row = v * w + left..v * w + right;
+            let depths = self.depth.data[row.clone()].iter().zip(&self.inverse[row]);
+            for (cell, (&z, &inverse)) in cells.iter().zip(depths) {
+                if inverse > 0.0 && is_inlier(cell, f64::from(z)) {
+                    fit.add_weighted(&cell.weighted, inverse);
                 }
             }
-            if fit.count < MIN_VALID {
-                return None;
-            }
-            plane = Some(fit.solve()?);
         }
-        plane
+        (fit.count >= MIN_VALID).then_some(fit)
     }
 }
 

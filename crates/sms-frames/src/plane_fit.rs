@@ -1,7 +1,7 @@
 //! Local planes in a depth image: inverse depth is exactly affine in pixel coordinates on a plane.
 
 /// Weighted least squares of w = c + gx·dx + gy·dy.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct InverseDepthFit {
     s: [f64; 6],
     b: [f64; 3],
@@ -17,15 +17,26 @@ pub(crate) struct InverseDepthPlane {
     pub(crate) gy: f64,
 }
 
+/// Products of an offset (dx, dy) with the weight of a sample: 1, dx, dy, dx², dx dy, dy².
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct WeightedOffset([f64; 6]);
+
+impl WeightedOffset {
+    pub(crate) fn new(dx: f64, dy: f64, weight: f64) -> Self {
+        Self([1.0, dx, dy, dx * dx, dx * dy, dy * dy].map(|v| weight * v))
+    }
+}
+
 impl InverseDepthFit {
     /// Adds a sample of inverse depth `w` at (dx, dy) pixels from the origin.
     pub(crate) fn add(&mut self, dx: f64, dy: f64, w: f64, weight: f64) {
-        for (slot, v) in self.s.iter_mut().zip([1.0, dx, dy, dx * dx, dx * dy, dy * dy]) {
-            *slot += weight * v;
-        }
-        for (slot, v) in self.b.iter_mut().zip([w, dx * w, dy * w]) {
-            *slot += weight * v;
-        }
+        self.add_weighted(&WeightedOffset::new(dx, dy, weight), w);
+    }
+
+    /// Adds a sample of inverse depth `w` at an offset of which the weighted products are known.
+    pub(crate) fn add_weighted(&mut self, at: &WeightedOffset, w: f64) {
+        self.s.iter_mut().zip(at.0).for_each(|(sum, v)| *sum += v);
+        self.b.iter_mut().zip(at.0).for_each(|(sum, v)| *sum += v * w);
         self.count += 1;
     }
 
@@ -52,7 +63,12 @@ impl InverseDepthFit {
 impl InverseDepthPlane {
     /// Returns the depth in metres at an offset; infinite or negative where the plane does not face the camera.
     pub(crate) fn depth_at(&self, dx: f64, dy: f64) -> f64 {
-        1.0 / (self.c + self.gx * dx + self.gy * dy)
+        1.0 / self.inverse_depth_at(dx, dy)
+    }
+
+    /// Returns the inverse depth at an offset, 1/m.
+    pub(crate) fn inverse_depth_at(&self, dx: f64, dy: f64) -> f64 {
+        self.c + self.gx * dx + self.gy * dy
     }
 }
 

@@ -110,19 +110,15 @@ fn overlap(
     }
     let seen = |points: &[Point], from: usize, to: usize| {
         let x = x_wc[to].inverse() * x_wc[from];
-        let k = &views[to].intrinsics;
         // Points in the image, points on a measured pixel, and points on the same surface.
         let (mut landed, mut measured, mut met) = (0usize, 0usize, 0usize);
         for p in points {
             let q = x.transform_point(p.p_c);
-            let (u, v) = (k.fx * q.x / q.z + k.cx, k.fy * q.y / q.z + k.cy);
-            if q.z > 1e-3 && u >= 0.0 && v >= 0.0 && u < k.width as f64 && v < k.height as f64 {
+            if let Some((x, y)) = views[to].pixel_of(q) {
+                let z = f64::from(views[to].depth[y * views[to].intrinsics.width + x].z);
                 landed += 1;
-                if let Some((x, y)) = views[to].measured_at(u, v) {
-                    let z = f64::from(views[to].depth[y * k.width + x].z);
-                    measured += 1;
-                    met += usize::from((z - q.z).abs() < SAME_SURFACE * q.z);
-                }
+                measured += usize::from(z > 0.0);
+                met += usize::from(z > 0.0 && (z - q.z).abs() < SAME_SURFACE * q.z);
             }
         }
         // Holes in the depth do not reduce the overlap, but a handful of measurements is not enough.

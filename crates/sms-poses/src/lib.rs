@@ -45,6 +45,7 @@ mod config;
 mod covariance;
 mod floor;
 mod given;
+mod gram;
 mod graph;
 mod histogram;
 mod judge;

@@ -4,9 +4,9 @@
 //! other, divided by the cosine of the incidence, is the difference of two errors of depth: its standard deviation is √2 σ(z).
 //! Within a frame, noise in patches would look like a surface.
 
-use crate::residual::meeting;
+use crate::residual::{for_each_landing, meeting};
 use crate::views::{DirectedFrame, Point};
-use glamx::{DMat3, DPose3, DVec3};
+use glamx::DPose3;
 use rayon::prelude::*;
 use sms_frames::DepthNoise;
 use std::collections::BTreeMap;
@@ -53,19 +53,19 @@ pub(crate) fn depth_noise(
 
 /// Returns depth and absolute difference of depth of the points of a frame that another frame sees, too.
 fn differences(points: &[Point], into: DirectedFrame<'_>, x_ji: &DPose3) -> Vec<(f64, f64)> {
-    let turn = DMat3::from_quat(x_ji.rotation);
-    let of = |point: &Point| {
-        let p = turn * point.p_c + x_ji.translation;
-        let n_i = turn * point.n_c;
-        let met = meeting(p, n_i, into, SAME_SURFACE * point.p_c.z)?;
-        let n: DVec3 = (met.n + n_i).try_normalize()?;
+    let mut found = Vec::new();
+    for_each_landing(points, x_ji, into, |point, p, n_i, surface| {
+        let gate_m = SAME_SURFACE * point.p_c.z;
+        let Some(met) = meeting(p, n_i, surface, &into.frame.intrinsics, gate_m) else { return };
+        let Some(n) = (met.n + n_i).try_normalize() else { return };
         let cosine = -n.dot(p) / p.z;
-        let is_compared = met.faces && point.is_flat && met.is_flat && cosine >= LEAST_COSINE;
-        // Depths of a pair of views differ; the noise is that of their root mean square to first order.
-        is_compared
-            .then(|| ((0.5 * (point.p_c.z.powi(2) + p.z * p.z)).sqrt(), n.dot(p - met.q).abs() / cosine))
-    };
-    points.iter().filter_map(of).collect()
+        if met.faces && point.is_flat && met.is_flat && cosine >= LEAST_COSINE {
+            // Depths of a pair of views differ; the noise is that of their root mean square to first order.
+            let z = (0.5 * (point.p_c.z.powi(2) + p.z * p.z)).sqrt();
+            found.push((z, n.dot(p - met.q).abs() / cosine));
+        }
+    });
+    found
 }
 
 /// Fits σ(z) = a + b z² with a, b ≥ 0 to standard deviations at some depths, by least squares of the relative errors.

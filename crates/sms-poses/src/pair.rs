@@ -9,6 +9,7 @@
 //! average, and the variance V = Σ w J̄ J̄ᵀ. It is equivalent to the quadratic form with H = S V⁻¹ S and gradient S V⁻¹ g. Without
 //! noise, J(i) = J(j), and both forms are the same.
 
+use crate::gram::Gram;
 use crate::histogram::ResidualStats;
 use crate::linear::{Block, Six};
 use crate::residual::{Brightness, Phase};
@@ -34,47 +35,44 @@ type Square = [[f64; UNKNOWNS]; UNKNOWNS];
 pub(crate) type ColorRow = [f64; UNKNOWNS];
 
 /// Sums in the axes of camera j.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct Sums {
-    depth_h: Block,
-    depth_g: Six,
+    /// Of derivatives with respect to the motion, and the residual.
+    depth: Gram<7>,
     color: ColorSums,
-    /// ½ Σ w r² of both kinds.
-    cost: f64,
 }
 
-/// Sums over colour residuals. Of symmetric matrices, the upper triangle is kept.
-#[derive(Debug, Default)]
+/// Sums over colour residuals.
+#[derive(Debug)]
 struct ColorSums {
-    g: ColorRow,
-    /// V: the sum over J̄ J̄ᵀ.
-    v: Square,
-    /// V − S: the sum over D Dᵀ, where D is half of the difference of both derivatives.
-    noise: Square,
+    /// Of J̄, and the residual: V, g and the squares.
+    mean: Gram<{ UNKNOWNS + 1 }>,
+    /// Of half of the difference of both derivatives: V − S. Not needed from afar.
+    noise: Option<Gram<UNKNOWNS>>,
 }
 
 impl Sums {
+    pub(crate) fn new(phase: Phase) -> Self {
+        Self { depth: Gram::default(), color: ColorSums::new(phase) }
+    }
+
     pub(crate) fn add_depth(&mut self, jacobian: &Six, residual: f64, weight: f64) {
-        self.cost += 0.5 * weight * residual * residual;
-        for a in 0..6 {
-            let wj = weight * jacobian[a];
-            self.depth_g[a] += wj * residual;
-            (a..6).for_each(|b| self.depth_h[a][b] += wj * jacobian[b]);
-        }
+        let (root, [a, b, c, d, e, f]) = (weight.sqrt(), *jacobian);
+        self.depth.add(&[a, b, c, d, e, f, residual].map(|v| root * v));
     }
 
     /// Adds a residual with its derivatives by the images of both frames.
     pub(crate) fn add_color(&mut self, by_i: &ColorRow, by_j: &ColorRow, residual: f64, weight: f64) {
-        self.cost += 0.5 * weight * residual * residual;
         self.color.add(by_i, by_j, residual, weight);
     }
 
     /// Returns the form of both kinds of residuals in the axes of the world.
-    pub(crate) fn in_world(self, r_wj: &DMat3, seen: ResidualStats, phase: Phase) -> PairSums {
-        let (mut all, mut gradient) = self.color.form(phase);
+    pub(crate) fn in_world(self, r_wj: &DMat3, seen: ResidualStats) -> PairSums {
+        let depth = self.depth.sums();
+        let ColorForm { h: mut all, g: mut gradient, squares } = self.color.form();
         for a in 0..6 {
-            gradient[a] += self.depth_g[a];
-            (0..6).for_each(|b| all[a][b] += self.depth_h[a.min(b)][a.max(b)]);
+            gradient[a] += depth[a][6];
+            (0..6).for_each(|b| all[a][b] += depth[a][b]);
         }
         let rotated = |s: &[f64]| -> Six {
             let (a, b) = (*r_wj * DVec3::new(s[0], s[1], s[2]), *r_wj * DVec3::new(s[3], s[4], s[5]));
@@ -93,38 +91,50 @@ impl Sums {
             by_extra: std::array::from_fn(|k| rotated(&all[6 + k])),
             extra_h: std::array::from_fn(|k| std::array::from_fn(|l| all[6 + k][6 + l])),
             extra_g: std::array::from_fn(|k| gradient[6 + k]),
-            cost: self.cost,
+            cost: 0.5 * (depth[6][6] + squares),
             seen,
         }
     }
 }
 
+/// The quadratic form of colour.
+#[derive(Debug)]
+struct ColorForm {
+    h: Square,
+    g: ColorRow,
+    /// Σ w r².
+    squares: f64,
+}
+
 impl ColorSums {
+    fn new(phase: Phase) -> Self {
+        Self { mean: Gram::default(), noise: (phase == Phase::Estimate).then(Gram::default) }
+    }
+
     fn add(&mut self, by_i: &ColorRow, by_j: &ColorRow, residual: f64, weight: f64) {
-        for a in 0..UNKNOWNS {
-            let (wm, wd) = (0.5 * weight * (by_i[a] + by_j[a]), 0.5 * weight * (by_i[a] - by_j[a]));
-            self.g[a] += wm * residual;
-            for b in a..UNKNOWNS {
-                self.v[a][b] += 0.5 * wm * (by_i[b] + by_j[b]);
-                self.noise[a][b] += 0.5 * wd * (by_i[b] - by_j[b]);
-            }
+        let root = weight.sqrt();
+        let half = 0.5 * root;
+        self.mean.add(&std::array::from_fn(|a| {
+            if a < UNKNOWNS { half * (by_i[a] + by_j[a]) } else { root * residual }
+        }));
+        if let Some(noise) = &mut self.noise {
+            noise.add(&std::array::from_fn(|a| half * (by_i[a] - by_j[a])));
         }
     }
 
-    /// Returns S V⁻¹ S and S V⁻¹ g; zero without residuals.
+    /// Returns S V⁻¹ S and S V⁻¹ g; zero without residuals. From afar, V and g.
     ///
     /// In coordinates in which V is the identity, S is M = I − N with N = V − S. Few residuals scatter M: its eigenvalues are
     /// clipped to 0 and 1, so that no direction has negative information, or more than with least squares.
-    fn form(&self, phase: Phase) -> (Square, ColorRow) {
+    fn form(self) -> ColorForm {
         /// Directions with less variance than this share of the largest have none.
         const LEAST: f64 = 1e-6;
-        let full = |m: &Square| -> Square {
-            std::array::from_fn(|a| std::array::from_fn(|b| m[a.min(b)][a.max(b)]))
-        };
-        let (v, noise) = (full(&self.v), full(&self.noise));
-        if phase == Phase::Approach {
-            return (v, self.g);
-        }
+        let sums = self.mean.sums();
+        let v: Square = std::array::from_fn(|a| std::array::from_fn(|b| sums[a][b]));
+        let g: ColorRow = std::array::from_fn(|a| sums[a][UNKNOWNS]);
+        let squares = sums[UNKNOWNS][UNKNOWNS];
+        let Some(noise) = self.noise else { return ColorForm { h: v, g, squares } };
+        let noise = noise.sums();
         // Units differ: the directions are those of the correlations.
         let size: ColorRow = std::array::from_fn(|a| v[a][a].max(0.0).sqrt());
         let scaled = |value: f64, size: f64| if size > 0.0 { value / size } else { 0.0 };
@@ -147,14 +157,14 @@ impl ColorSums {
         let shares = shares.map(|share| share.clamp(0.0, 1.0));
         let out = times(&forth, &axes);
         let into = times(&transposed(&axes), &back);
-        let product = |row: &ColorRow| row.iter().zip(&self.g).map(|(w, g)| w * g).sum::<f64>();
+        let product = |row: &ColorRow| row.iter().zip(&g).map(|(w, g)| w * g).sum::<f64>();
         let along: ColorRow = std::array::from_fn(|e| shares[e] * product(&into[e]));
         let h = std::array::from_fn(|a| {
             std::array::from_fn(|b| {
                 (0..UNKNOWNS).map(|e| out[a][e] * shares[e] * shares[e] * out[b][e]).sum::<f64>()
             })
         });
-        (h, out.map(|row| row.iter().zip(&along).map(|(w, g)| w * g).sum()))
+        ColorForm { h, g: out.map(|row| row.iter().zip(&along).map(|(w, g)| w * g).sum()), squares }
     }
 }
 
@@ -265,7 +275,7 @@ mod tests {
             turn in prop::array::uniform3(-2.0..2.0f64), rows in prop::collection::vec(prop::array::uniform6(-1.0..1.0f64), 3)
         ) {
             let r_wj = DMat3::from_quat(glamx::DQuat::from_scaled_axis(DVec3::from_array(turn)));
-            let mut sums = Sums::default();
+            let mut sums = Sums::new(Phase::Estimate);
             let (mut h, mut g) = ([[0.0; 6]; 6], [0.0; 6]);
             for (k, row) in rows.iter().enumerate() {
                 let (r, w) = (0.3 + k as f64, 1.0 / (1.0 + k as f64));
@@ -280,7 +290,7 @@ mod tests {
                     }
                 }
             }
-            let found = sums.in_world(&r_wj, ResidualStats::default(), Phase::Estimate);
+            let found = sums.in_world(&r_wj, ResidualStats::default());
             for a in 0..6 {
                 prop_assert!((found.g[a] - g[a]).abs() < 1e-9);
                 for b in 0..6 {
@@ -293,7 +303,7 @@ mod tests {
     #[test]
     fn brightness_is_eliminated_exactly() {
         // Residuals r + J δ + C (gain, offset, shift) of twelve measurements.
-        let mut sums = Sums::default();
+        let mut sums = Sums::new(Phase::Estimate);
         let pseudo = |k: usize, a: usize| ((k * k * 7 + a * a * 3 + k * a * 5) as f64).sin();
         let rows: [(Six, f64, [f64; EXTRA]); 14] = std::array::from_fn(|k| {
             let extra = [pseudo(k, 9), -1.0, pseudo(k, 11), pseudo(k, 13)];
@@ -303,7 +313,7 @@ mod tests {
             let row: ColorRow = std::array::from_fn(|a| if a < 6 { j[a] } else { c[a - 6] });
             sums.add_color(&row, &row, *r, 1.0);
         }
-        let pair = sums.in_world(&DMat3::IDENTITY, ResidualStats::default(), Phase::Estimate);
+        let pair = sums.in_world(&DMat3::IDENTITY, ResidualStats::default());
         let (h, g, shift) = pair.reduced();
         // Frame 0 and a frame that a very strong prior holds fixed.
         let mut system = crate::linear::System::new(2);
@@ -341,7 +351,7 @@ mod tests {
         let mut rng = Seed(7).rng();
         let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
         let (count, truth) = (20_000, 1.0);
-        let mut sums = ColorSums::default();
+        let [mut sums, mut least_squares] = [Phase::Estimate, Phase::Approach].map(ColorSums::new);
         for _ in 0..count {
             let texture = normal();
             let mut row = || -> ColorRow {
@@ -355,17 +365,19 @@ mod tests {
             let (by_i, by_j) = (row(), row());
             let residual = -texture * truth + normal();
             sums.add(&by_i, &by_j, residual, 1.0);
+            least_squares.add(&by_i, &by_j, residual, 1.0);
         }
-        let (h, g) = sums.form(Phase::Estimate);
+        let ColorForm { h, g, .. } = sums.form();
+        let naive_form = least_squares.form();
         // The minimum is at the true motion; least squares would stop at two thirds of it.
         assert!((-g[0] / h[0][0] / truth - 1.0).abs() < 0.05, "{}", -g[0] / h[0][0]);
-        let naive = -sums.g[0] / sums.v[0][0];
+        let naive = -naive_form.g[0] / naive_form.h[0][0];
         assert!((naive / truth - 2.0 / 3.0).abs() < 0.05, "{naive}");
         // Information: S V⁻¹ S = 1 / 1.5 of that without noise along the texture, and none where there is only noise.
         let n = f64::from(count);
         assert!((h[0][0] / n - 1.0 / 1.5).abs() < 0.05, "{}", h[0][0] / n);
         assert!(h[1][1] / n < 0.01, "{}", h[1][1] / n);
-        assert!(sums.v[1][1] / n > 0.4);
+        assert!(naive_form.h[1][1] / n > 0.4);
     }
 
     proptest! {
@@ -374,14 +386,15 @@ mod tests {
             count in 1usize..40, seed in 0u64..1000, noise in 0.1..3.0f64
         ) {
             let mut rng = Seed(seed).rng();
-            let mut sums = ColorSums::default();
+            let [mut sums, mut least_squares] = [Phase::Estimate, Phase::Approach].map(ColorSums::new);
             for _ in 0..count {
                 let texture: ColorRow = std::array::from_fn(|_| rng.random::<f64>() - 0.5);
                 let mut row = || texture.map(|t| t + noise * (rng.random::<f64>() - 0.5));
                 let (by_i, by_j) = (row(), row());
                 sums.add(&by_i, &by_j, 0.1, 1.0);
+                least_squares.add(&by_i, &by_j, 0.1, 1.0);
             }
-            let ((v, _), (h, _)) = (sums.form(Phase::Approach), sums.form(Phase::Estimate));
+            let (v, h) = (least_squares.form().h, sums.form().h);
             let most: f64 = (0..UNKNOWNS).map(|a| v[a][a]).sum();
             for _ in 0..50 {
                 let x: ColorRow = std::array::from_fn(|_| rng.random::<f64>() - 0.5);

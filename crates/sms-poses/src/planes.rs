@@ -4,7 +4,7 @@
 //! surface. Here the measured points of all frames are summed up in cells of several sizes. A cell takes its normal from the
 //! largest window around it in which the points are as near to a plane as their noise allows.
 
-use crate::views::{DepthSample, Direction, Point, PreparedFrame, pixel_point};
+use crate::views::{Direction, Point, PreparedFrame, pixel_point};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use sms_core::symmetric_eigen;
@@ -58,18 +58,33 @@ impl Moments {
     }
 }
 
-/// Cells by their integer coordinates.
+/// Cells by their integer coordinates, in a hash table of blocks: neighbouring pixels look up neighbouring cells, which are then
+/// near each other in memory, too.
 #[derive(Debug, Default)]
 struct Cells {
     keys: Vec<[i32; 3]>,
     moments: Vec<Moments>,
-    /// Open addressing: indices + 1.
+    /// Indices of the cells of each block, + 1.
+    blocks: Vec<[u32; BLOCK_CELLS]>,
+    block_keys: Vec<[i32; 3]>,
+    /// Open addressing: indices of blocks, + 1.
     slots: Vec<u32>,
 }
 
+/// Side of a block, cells, as a power of two.
+const BLOCK_BITS: u32 = 2;
+const BLOCK_CELLS: usize = 1 << (3 * BLOCK_BITS);
+
+/// Returns the block of a cell, and its place there.
+fn block_of(key: [i32; 3]) -> ([i32; 3], usize) {
+    let [x, y, z] = key.map(|k| (k & ((1 << BLOCK_BITS) - 1)) as usize);
+    (key.map(|k| k >> BLOCK_BITS), x | y << BLOCK_BITS | z << (2 * BLOCK_BITS))
+}
+
 impl Cells {
-    fn slot(&self, key: [i32; 3]) -> usize {
-        let h = key
+    /// Returns the slot of a block.
+    fn slot(&self, block: [i32; 3]) -> usize {
+        let h = block
             .iter()
             .fold(0u64, |h, &k| (h ^ k as u32 as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(29));
         let mask = self.slots.len() - 1;
@@ -77,7 +92,7 @@ impl Cells {
         loop {
             match self.slots[at] {
                 0 => return at,
-                i if self.keys[i as usize - 1] == key => return at,
+                i if self.block_keys[i as usize - 1] == block => return at,
                 _ => at = (at + 1) & mask,
             }
         }
@@ -87,25 +102,33 @@ impl Cells {
         if self.slots.is_empty() {
             return None;
         }
-        (self.slots[self.slot(key)] as usize).checked_sub(1)
+        let (block, place) = block_of(key);
+        let block = (self.slots[self.slot(block)] as usize).checked_sub(1)?;
+        (self.blocks[block][place] as usize).checked_sub(1)
     }
 
     fn entry(&mut self, key: [i32; 3]) -> &mut Moments {
-        if (self.keys.len() + 1) * 2 > self.slots.len() {
+        if (self.blocks.len() + 1) * 2 > self.slots.len() {
             self.slots = vec![0; (self.slots.len() * 2).max(1024)];
-            for i in 0..self.keys.len() {
-                let at = self.slot(self.keys[i]);
+            for i in 0..self.blocks.len() {
+                let at = self.slot(self.block_keys[i]);
                 self.slots[at] = i as u32 + 1;
             }
         }
-        let at = self.slot(key);
+        let (block, place) = block_of(key);
+        let at = self.slot(block);
         if self.slots[at] == 0 {
+            self.block_keys.push(block);
+            self.blocks.push([0; BLOCK_CELLS]);
+            self.slots[at] = self.blocks.len() as u32;
+        }
+        let cell = &mut self.blocks[self.slots[at] as usize - 1][place];
+        if *cell == 0 {
             self.keys.push(key);
             self.moments.push(Moments::default());
-            self.slots[at] = self.keys.len() as u32;
+            *cell = self.keys.len() as u32;
         }
-        let i = self.slots[at] as usize - 1;
-        &mut self.moments[i]
+        &mut self.moments[*cell as usize - 1]
     }
 
     /// Returns the cells of twice the size.
@@ -196,9 +219,9 @@ impl PlaneMap {
         Self { center_w, cell_m, levels: levels.collect() }
     }
 
-    /// Returns the normal at a point, and whether its surroundings are flat. `None` if no cell with points tells it.
-    fn normal_w(&self, p_w: DVec3) -> Option<(DVec3, bool)> {
-        let key = key_of(p_w - self.center_w, self.cell_m);
+    /// Returns the normal in a cell of the smallest size, and whether its surroundings are flat. `None` if no cell with points
+    /// tells it.
+    fn normal_w(&self, key: [i32; 3]) -> Option<(DVec3, bool)> {
         // Points of a frame lie further apart where the surface is near: a larger cell then tells what a small one cannot.
         for (l, level) in self.levels.iter().enumerate() {
             let Some(i) = level.cells.get(key.map(|k| k >> l)) else { continue };
@@ -212,18 +235,16 @@ impl PlaneMap {
     pub(crate) fn directions(&self, view: &PreparedFrame, x_wc: &DPose3) -> Vec<Direction> {
         let k = &view.intrinsics;
         let back = x_wc.rotation.inverse();
-        let of = |(i, (s, own)): (usize, (&DepthSample, &Direction))| {
-            if s.z <= 0.0 {
-                return Direction::default();
-            }
-            let p = pixel_point(k, (i % k.width) as i64, (i / k.width) as i64, s.z.into());
-            let Some((n_w, is_flat)) = self.normal_w(x_wc.transform_point(p)) else {
-                return Direction { is_flat: false, ..*own };
-            };
+        let of = |(measured, own): (&Option<usize>, &Direction)| {
+            let Some(i) = *measured else { return Direction::default() };
+            let z = f64::from(view.depth[i].z);
+            let p = pixel_point(k, (i % k.width) as i64, (i / k.width) as i64, z);
+            let key = key_of(x_wc.transform_point(p) - self.center_w, self.cell_m);
+            let Some((n_w, is_flat)) = self.normal_w(key) else { return own.not_flat() };
             let n = back * n_w;
-            Direction { n: if n.dot(p) < 0.0 { n.as_vec3().to_array() } else { [0.0; 3] }, is_flat }
+            Direction::new(if n.dot(p) < 0.0 { n } else { DVec3::ZERO }, is_flat)
         };
-        view.depth.iter().zip(&view.directions).enumerate().map(of).collect()
+        view.blocks.measured.iter().zip(&view.directions).map(of).collect()
     }
 }
 

@@ -308,11 +308,12 @@ impl<'a> BundleAdjustment<'a> {
             let RefinementState { poses, color_shift, arcs, .. } = estimate;
             (0..2).for_each(|k| color_shift[k] += shift_step[k]);
             estimate.shared = estimate.shared.after(&common);
-            let mut largest = 0.0f64;
+            let mut squares = 0.0;
             for (pose, step) in poses.iter_mut().zip(&steps) {
                 let moved = moved_about(self.center_w, step) * *pose;
-                largest = largest.max((moved.translation - pose.translation).length());
-                largest = largest.max(DVec3::new(step[3], step[4], step[5]).length());
+                // The camera moves by the first, the scene before it by the second.
+                let steps_m = [moved.translation - pose.translation, DVec3::new(step[3], step[4], step[5])];
+                squares += steps_m.map(DVec3::length_squared).into_iter().fold(0.0, f64::max);
                 *pose = DPose3::from_parts(moved.translation, moved.rotation.normalize());
             }
             for (arc, pair) in arcs.iter_mut().zip(&sums) {
@@ -320,9 +321,11 @@ impl<'a> BundleAdjustment<'a> {
                 arc.brightness = pair.brightness_after(&delta, shift_step, arc.brightness);
             }
             estimate.weighing = self.weighing_after(&sums, &estimate.weighing);
-            tick(&format!("step {:.2} mm", 1e3 * largest));
+            // A root mean square: a single frame that is badly determined must not keep all from being done.
+            let typical_m = (squares / steps.len() as f64).sqrt();
+            tick(&format!("step {:.2} mm", 1e3 * typical_m));
             // Smaller steps do not change the associated pixels.
-            if largest < 0.02 * pixel_m {
+            if typical_m < 0.02 * pixel_m {
                 return Ok(iteration + 1);
             }
         }

@@ -14,8 +14,8 @@ use crate::histogram::{Histogram, ResidualStats};
 use crate::linear::Six;
 use crate::luma::sample;
 use crate::pair::{ColorRow, PairSums, Sums};
-use crate::views::{DirectedFrame, Point, PreparedFrame, pixel_point, sigma_along_normal};
-use glamx::{DMat3, DPose3, DVec3, Vec3};
+use crate::views::{DirectedFrame, Point, PreparedFrame, Surface, pixel_point, sigma_along_normal};
+use glamx::{DMat3, DPose3, DVec3};
 use sms_core::Intrinsics;
 
 /// Least cosine between a ray and a normal. Points that are seen more obliquely are hidden, or as good as.
@@ -163,20 +163,20 @@ pub(crate) struct Meeting {
     pub(crate) is_flat: bool,
 }
 
-/// Returns the surface of `view` at the projection of `p`, whose normal is `n_p`; `None` if there is none within the gate.
-pub(crate) fn meeting(p: DVec3, n_p: DVec3, view: DirectedFrame<'_>, gate_m: f64) -> Option<Meeting> {
+/// Returns the meeting of the point `p`, whose normal is `n_p`, with the surface at its projection; `None` if that is not within
+/// the gate.
+pub(crate) fn meeting(
+    p: DVec3,
+    n_p: DVec3,
+    surface: &Surface,
+    k: &Intrinsics,
+    gate_m: f64,
+) -> Option<Meeting> {
     // Normals that differ by more than 60° belong to different surfaces.
     const LEAST_COSINE: f64 = 0.5;
-    let k: &Intrinsics = &view.frame.intrinsics;
-    if p.z <= 1e-3 {
-        return None;
-    }
-    let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
-    let (x, y) = view.frame.measured_at(u, v)?;
-    let (measured, direction) = (&view.frame.depth[y * k.width + x], &view.directions[y * k.width + x]);
-    let z = f64::from(measured.z);
-    let q = pixel_point(k, x as i64, y as i64, z);
-    let n = Vec3::from(direction.n).as_dvec3();
+    let (x, y) = surface.pixel.filter(|_| surface.depth.z > 0.0)?;
+    let q = pixel_point(k, x as i64, y as i64, surface.depth.z.into());
+    let n = surface.direction.n_c();
     let has_plane = n != DVec3::ZERO;
     let off = if has_plane { n.dot(p - q) } else { p.z - q.z };
     // A point whose surface looks away from the camera is hidden from it: it met the surface in front of it.
@@ -184,10 +184,37 @@ pub(crate) fn meeting(p: DVec3, n_p: DVec3, view: DirectedFrame<'_>, gate_m: f64
     (off.abs() <= gate_m && !is_hidden).then_some(Meeting {
         q,
         n,
-        sigma_z_m: measured.sigma_z_m.into(),
+        sigma_z_m: surface.depth.sigma_z_m.into(),
         faces: has_plane && n.dot(n_p) > LEAST_COSINE,
-        is_flat: direction.is_flat,
+        is_flat: surface.direction.is_flat,
     })
+}
+
+/// Calls `f` with each point, its position and normal in the axes of another camera, and the surface there.
+pub(crate) fn for_each_landing(
+    points: &[Point],
+    x_ji: &DPose3,
+    view_j: DirectedFrame<'_>,
+    mut f: impl FnMut(&Point, DVec3, DVec3, &Surface),
+) {
+    const BATCH: usize = 64;
+    let turn = DMat3::from_quat(x_ji.rotation);
+    for batch in points.chunks(BATCH) {
+        // The places that a last batch leaves empty are behind the camera.
+        let mut mapped = [DVec3::ZERO; BATCH];
+        for (p, point) in mapped.iter_mut().zip(batch) {
+            *p = turn * point.p_c + x_ji.translation;
+        }
+        let surfaces = view_j.surfaces(&mapped);
+        for ((point, p), surface) in batch.iter().zip(mapped).zip(&surfaces) {
+            f(point, p, turn * point.n_c, surface);
+        }
+    }
+}
+
+/// Returns √(a² + b²) without the care for overflow of `hypot`, which takes longer than the rest of a weight.
+fn length(a: f64, b: f64) -> f64 {
+    (a * a + b * b).sqrt()
 }
 
 /// Maps points of frame i (`arc.from`) into frame j (`arc.to`, which is `view_j`) and sums up their linearised residuals.
@@ -204,20 +231,19 @@ pub(crate) fn linearise(
     let (x_wi, x_wj, brightness) = (&poses[arc.from], &poses[arc.to], arc.brightness);
     let x_ji = x_wj.inverse() * *x_wi;
     let center = x_wj.inverse_transform_point(center_w);
+    let k_j = &view_j.frame.intrinsics;
     let turn = DMat3::from_quat(x_ji.rotation);
-    let mut sums = Sums::default();
+    let mut sums = Sums::new(phase);
     let mut seen = ResidualStats::default();
-    for point in points {
-        let p = turn * point.p_c + x_ji.translation;
-        let n_i = turn * point.n_c;
-        let Some(met) = meeting(p, n_i, view_j, weighing.gate_m) else { continue };
+    for_each_landing(points, &x_ji, view_j, |point, p, n_i, surface| {
+        let Some(met) = meeting(p, n_i, surface, k_j, weighing.gate_m) else { return };
         let is_one_surface = phase == Phase::Approach || met.n.dot(n_i) >= LEAST_ALIGNED;
         if config.use_depth && met.faces && is_one_surface {
             // The mean of both normals: two points of a curved surface then have no residual (Rusinkiewicz 2019).
             let n = (met.n + n_i).normalize();
             let q = met.q;
             let r = depth_residual(p, q, n);
-            let sigma = point.sigma_m.hypot(sigma_along_normal(met.sigma_z_m, q, n));
+            let sigma = length(point.sigma_m, sigma_along_normal(met.sigma_z_m, q, n));
             let e = r.residual / sigma;
             seen.depth.add(e.abs());
             seen.depth_mm.add(1e3 * r.residual.abs());
@@ -230,21 +256,21 @@ pub(crate) fn linearise(
         if config.use_color && point.textured && met.faces {
             let expected = brightness.expected(point.luma);
             let Some((r, slope)) = color_residual(p, view_j.frame, level, color_shift, expected) else {
-                continue;
+                return;
             };
-            let sigma = config.color_sigma.hypot(config.color_slip_px * slope[0].hypot(slope[1]));
+            let sigma = length(config.color_sigma, config.color_slip_px * length(slope[0], slope[1]));
             let e = r.residual / sigma;
             seen.color.add(e.abs());
             seen.color_levels.add(r.residual.abs());
             let weight = tukey(e, weighing.color_scale) / (sigma * weighing.color_scale).powi(2);
             let gain = 1.0 + brightness.gain / 64.0;
-            let gradients = Gradients { p, n: n_i, turn: &turn, point, k_j: &view_j.frame.intrinsics };
+            let gradients = Gradients { p, n: n_i, turn: &turn, point, k_j };
             if let Some((by_i, by_j)) = gradients.rows(gain, &r, center).filter(|_| weight > 0.0) {
                 sums.add_color(&by_i, &by_j, r.residual, weight);
             }
         }
-    }
-    sums.in_world(&DMat3::from_quat(x_wj.rotation), seen, phase).with_prior(brightness)
+    });
+    sums.in_world(&DMat3::from_quat(x_wj.rotation), seen).with_prior(brightness)
 }
 
 /// A point of a plane that both frames see, with its texture.
@@ -290,7 +316,7 @@ impl Gradients<'_> {
 mod tests {
     use super::*;
     use crate::align::moved_about;
-    use crate::views::{DepthSample, Direction};
+    use crate::views::{Blocks, DepthSample, Direction};
     use proptest::prelude::*;
     use sms_core::Image;
 
@@ -307,6 +333,7 @@ mod tests {
             intrinsics,
             depth_noise: sms_frames::DepthNoise::default(),
             depth: vec![DepthSample::default(); 48 * 32],
+            blocks: Blocks::default(),
             directions: vec![Direction::default(); 48 * 32],
             luma,
             finest_scale: 1.0,

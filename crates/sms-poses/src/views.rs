@@ -5,7 +5,7 @@ use crate::luma::{Luma, half, luma, sample};
 use glamx::{DVec3, Vec3};
 use rayon::prelude::*;
 use sms_core::Intrinsics;
-use sms_frames::{DepthNoise, Frame, Sequence, normals_from_depth};
+use sms_frames::{DepthNoise, Frame, Sequence, normals_at};
 
 /// Depth at one pixel; `z` is 0 without a measurement.
 #[derive(Debug, Clone, Copy, Default)]
@@ -16,12 +16,72 @@ pub(crate) struct DepthSample {
     pub(crate) sigma_z_m: f32,
 }
 
-/// Surface direction at one pixel in the camera; `n` is zero without a direction.
+/// Surface direction in the camera, in eight bytes: lookups of scattered pixels wait for memory.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Direction {
-    pub(crate) n: [f32; 3],
+    /// Components of the normal in units of 1/32767, which turns it by less than 3e-5 rad; zero without a direction.
+    n: [i16; 3],
     /// Whether the surroundings are flat within their noise.
     pub(crate) is_flat: bool,
+}
+
+impl Direction {
+    const GRID: f64 = 32767.0;
+
+    /// Rounds a normal; one that is not finite counts as none.
+    pub(crate) fn new(n_c: DVec3, is_flat: bool) -> Self {
+        let n = if n_c.is_finite() { n_c } else { DVec3::ZERO };
+        Self { n: n.to_array().map(|v| (v * Self::GRID).round() as i16), is_flat }
+    }
+
+    /// Returns the same direction in surroundings that are not flat.
+    pub(crate) fn not_flat(self) -> Self {
+        Self { is_flat: false, ..self }
+    }
+
+    /// Returns the normal; zero without a direction.
+    pub(crate) fn n_c(&self) -> DVec3 {
+        DVec3::from_array(self.n.map(|v| f64::from(v) / Self::GRID))
+    }
+}
+
+/// The surface that a frame measured at one pixel.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Surface {
+    /// The pixel; `None` outside the image.
+    pub(crate) pixel: Option<(usize, usize)>,
+    /// Its `z` is 0 without a measurement, and outside the image.
+    pub(crate) depth: DepthSample,
+    pub(crate) direction: Direction,
+}
+
+/// Squares of pixels, each the size of a pixel of the finest brightness image, that share a surface direction.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Blocks {
+    /// Side of a block, pixels, as a power of two.
+    pub(crate) bits: u32,
+    /// Blocks in a row.
+    width: usize,
+    /// Index of the first measured pixel of each block, at which its direction is determined.
+    pub(crate) measured: Vec<Option<usize>>,
+}
+
+impl Blocks {
+    pub(crate) fn new(depth: &[DepthSample], k: &Intrinsics, bits: u32) -> Self {
+        let side = 1usize << bits;
+        let width = k.width.div_ceil(side);
+        let mut measured = vec![None; width * k.height.div_ceil(side)];
+        for (pixel, _) in depth.iter().enumerate().filter(|(_, s)| s.z > 0.0) {
+            let block = ((pixel / k.width) >> bits) * width + ((pixel % k.width) >> bits);
+            measured[block].get_or_insert(pixel);
+        }
+        Self { bits, width, measured }
+    }
+
+    /// Returns the block of a pixel.
+    pub(crate) fn of(&self, x: usize, y: usize) -> usize {
+        (y >> self.bits) * self.width + (x >> self.bits)
+    }
 }
 
 /// One frame prepared for comparison.
@@ -32,7 +92,8 @@ pub(crate) struct PreparedFrame {
     pub(crate) depth_noise: DepthNoise,
     /// Depth at each pixel of the loaded size.
     pub(crate) depth: Vec<DepthSample>,
-    /// Surface directions that the frame alone shows.
+    pub(crate) blocks: Blocks,
+    /// Surface direction of each block that the frame alone shows.
     pub(crate) directions: Vec<Direction>,
     /// Brightness, the finest level first.
     pub(crate) luma: Vec<Luma>,
@@ -75,14 +136,13 @@ impl PreparedFrame {
             z: if z.is_finite() { z.max(0.0) } else { 0.0 },
             ..DepthSample::default()
         };
-        let direction = |&n: &[f32; 3]| Direction {
-            n: if n.iter().all(|v| v.is_finite()) { n } else { [0.0; 3] },
-            is_flat: true,
-        };
+        let direction = |&n: &[f32; 3]| Direction::new(Vec3::from(n).as_dvec3(), true);
         let k = &frame.camera.intrinsics;
-        let normals = normals_from_depth(&frame.depth, k, &frame.depth_noise, config.normal_radius_px);
         let mut depth: Vec<DepthSample> = frame.depth.data.iter().map(sample).collect();
-        let directions: Vec<Direction> = normals.data.iter().map(direction).collect();
+        let blocks = Blocks::new(&depth, k, halvings as u32);
+        let measured = blocks.measured.iter().copied();
+        let normals = normals_at(measured, &frame.depth, k, &frame.depth_noise, config.normal_radius_px);
+        let directions = normals.iter().map(direction).collect();
         set_sigmas(&mut depth, k, &frame.depth_noise, config.normal_radius_px);
         let mut finest = luma(&frame.color);
         for _ in 0..halvings {
@@ -97,6 +157,7 @@ impl PreparedFrame {
             intrinsics: frame.camera.intrinsics,
             depth_noise: frame.depth_noise,
             depth,
+            blocks,
             directions,
             luma,
             finest_scale,
@@ -108,14 +169,12 @@ impl PreparedFrame {
         self.finest_scale * 2f64.powi(level as i32)
     }
 
-    /// Returns the pixel that contains (u, v); `None` outside or without depth.
-    pub(crate) fn measured_at(&self, u: f64, v: f64) -> Option<(usize, usize)> {
-        let (w, h) = (self.intrinsics.width, self.intrinsics.height);
-        if !(u >= 0.0 && v >= 0.0 && u < w as f64 && v < h as f64) {
-            return None;
-        }
-        let (x, y) = (u as usize, v as usize);
-        (self.depth[y * w + x].z > 0.0).then_some((x, y))
+    /// Returns the pixel at the projection of a point in the camera; `None` outside the image.
+    pub(crate) fn pixel_of(&self, p_c: DVec3) -> Option<(usize, usize)> {
+        let k = &self.intrinsics;
+        let (u, v) = (k.fx * p_c.x / p_c.z + k.cx, k.fy * p_c.y / p_c.z + k.cy);
+        let is_inside = p_c.z > 1e-3 && u >= 0.0 && v >= 0.0 && u < k.width as f64 && v < k.height as f64;
+        is_inside.then_some((u as usize, v as usize))
     }
 
     /// Returns the frame with the directions that it shows alone.
@@ -125,6 +184,24 @@ impl PreparedFrame {
 }
 
 impl DirectedFrame<'_> {
+    /// Returns the surfaces at the projections of points.
+    ///
+    /// Each of the three loops is short, so that the processor waits for many places in memory at once.
+    pub(crate) fn surfaces<const N: usize>(&self, points_c: &[DVec3; N]) -> [Surface; N] {
+        let width = self.frame.intrinsics.width;
+        let mut surfaces =
+            points_c.map(|p_c| Surface { pixel: self.frame.pixel_of(p_c), ..Surface::default() });
+        for surface in &mut surfaces {
+            let depth = surface.pixel.map(|(x, y)| self.frame.depth[y * width + x]);
+            surface.depth = depth.unwrap_or_default();
+        }
+        for surface in surfaces.iter_mut().filter(|s| s.depth.z > 0.0) {
+            let direction = surface.pixel.map(|(x, y)| self.directions[self.frame.blocks.of(x, y)]);
+            surface.direction = direction.unwrap_or_default();
+        }
+        surfaces
+    }
+
     /// Returns the points with a depth on a grid of `stride` pixels of a level, which begins at `offset` strides. Their
     /// colour is read with an offset of `color_shift` pixels of the loaded size.
     pub(crate) fn points(
@@ -150,8 +227,8 @@ impl DirectedFrame<'_> {
                 }
                 let (u, v, z) = (x as f64 + 0.5, y as f64 + 0.5, f64::from(s.z));
                 let p_c = pixel_point(k, x as i64, y as i64, z);
-                let direction = self.directions[y * k.width + x];
-                let n_c = Vec3::from(direction.n).as_dvec3();
+                let direction = self.directions[self.frame.blocks.of(x, y)];
+                let n_c = direction.n_c();
                 let sampled = sample(luma, (u + color_shift[0]) / scale, (v + color_shift[1]) / scale);
                 let pixel_m = [z / k.fx, z / k.fy];
                 let slope =

@@ -5,9 +5,11 @@ use crate::PosesConfig;
 use crate::align::{lever, moved_about};
 use crate::floor::PairForm;
 use crate::linear::{Block, Six};
-use crate::residual::{Arc, Brightness, LinearisationPoint, Phase, Weighing, linearise, meeting};
+use crate::residual::{
+    Arc, Brightness, LinearisationPoint, Phase, Weighing, for_each_landing, linearise, meeting,
+};
 use crate::views::{Point, PreparedFrame, sigma_along_normal};
-use glamx::{DMat3, DPose3, DVec3};
+use glamx::{DPose3, DVec3};
 use sms_core::{Cholesky, symmetric_eigen};
 
 /// The finest level that is compared: the loaded images' own pixels cost four times as much, for little.
@@ -217,21 +219,12 @@ impl Comparison {
 fn comparison(points: &[Point], into: &TrackedView, x: &DPose3, weighing: &Weighing) -> Comparison {
     /// Points within this many typical deviations of a surface lie on it.
     const SAME: f64 = 4.0;
-    let (view, k) = (into.frame.alone(), &into.frame.intrinsics);
-    let turn = DMat3::from_quat(x.rotation);
+    let k = &into.frame.intrinsics;
     let mut sum = Comparison { points: points.len(), ..Comparison::default() };
-    for point in points {
-        let p = turn * point.p_c + x.translation;
-        let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
-        if !(p.z > 1e-3 && u >= 0.0 && v >= 0.0 && u < k.width as f64 && v < k.height as f64) {
-            continue;
-        }
-        sum.landed += 1;
-        if into.frame.measured_at(u, v).is_none() {
-            continue;
-        }
-        sum.measured += 1;
-        let Some(met) = meeting(p, turn * point.n_c, view, f64::INFINITY) else { continue };
+    for_each_landing(points, x, into.frame.alone(), |point, p, n, surface| {
+        sum.landed += usize::from(surface.pixel.is_some());
+        sum.measured += usize::from(surface.depth.z > 0.0);
+        let Some(met) = meeting(p, n, surface, k, f64::INFINITY) else { return };
         // Without a direction of the surface, depths are compared along the axis.
         let (plane, sigma_q_m) = if met.n == DVec3::ZERO {
             (DVec3::Z, met.sigma_z_m)
@@ -244,7 +237,7 @@ fn comparison(points: &[Point], into: &TrackedView, x: &DPose3, weighing: &Weigh
         } else if p.z < met.q.z {
             sum.in_front += 1;
         }
-    }
+    });
     sum
 }
 
