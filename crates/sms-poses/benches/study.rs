@@ -106,8 +106,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         };
         let j = refined.report.judgement;
         println!(
-            "{path}: {seconds:.1} s, {} iterations, {} pairs, colour shift {:.2?}",
-            refined.report.iterations, refined.report.pairs, refined.report.color_shift_px
+            "{path}: {seconds:.1} s, {} iterations, {} pairs, colour shift {:.2?}, focal length {:.4?}",
+            refined.report.iterations,
+            refined.report.pairs,
+            refined.report.color_shift_px,
+            refined.report.focal.map(|f| [f.share, f.sigma])
         );
         println!("  before {}\n  after  {}", show(&sequence), show(&refined.sequence));
         println!(

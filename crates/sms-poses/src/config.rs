@@ -52,6 +52,9 @@ pub struct PosesConfig {
     /// Standard deviation of the shift of colour against depth, which is estimated along with the poses, pixels at
     /// loaded size. With 0, both are exactly registered.
     pub prior_color_shift_px: f64,
+    /// Standard deviation of the error of the recorded focal length, which is estimated along with the poses, as a share. With 0,
+    /// it is exact.
+    pub prior_focal_share: f64,
     /// Share of the measurements that counts as independent; scales both data terms.
     pub independent_share: f64,
     /// Radius of the window of the normals of single frames, pixels at loaded size. They tell the side of a surface, and its
@@ -91,6 +94,7 @@ impl Default for PosesConfig {
             color_slip_px: 0.25,
             min_gradient: 2.0,
             prior_color_shift_px: 2.0,
+            prior_focal_share: 0.01,
             independent_share: 0.1,
             normal_radius_px: 3,
             use_depth: true,
@@ -120,6 +124,7 @@ impl PosesConfig {
         r.within("color_slip_px", self.color_slip_px, 0.0, 10.0)?;
         r.within("min_gradient", self.min_gradient, 0.0, 255.0)?;
         r.within("prior_color_shift_px", self.prior_color_shift_px, 0.0, 100.0)?;
+        r.within("prior_focal_share", self.prior_focal_share, 0.0, 0.2)?;
         r.within("independent_share", self.independent_share, 1e-6, 1.0)?;
         r.count("normal_radius_px", self.normal_radius_px, 1, 64)?;
         r.count("finest_long_side", self.finest_long_side, 16, 16_384)?;

@@ -7,7 +7,7 @@
 //! variance estimation for dyadic data", 2015), and the given poses add Jᵀ A⁻¹ Q A⁻¹ J for their precision Q.
 
 use crate::floor::PairForm;
-use crate::linear::{COMMON, Common, Inverse, Row, Six, System};
+use crate::linear::{CAMERA, COMMON, Common, Inverse, Row, Six, System};
 
 /// Variances of functions of an estimate.
 pub(crate) struct Covariance<'a> {
@@ -53,8 +53,8 @@ impl Covariance<'_> {
         let mut squares = 0.0;
         for (&(i, j), form) in self.pairs.iter().zip(self.forms) {
             let along = |a: usize| form.g[a] * (steps[i][a] - steps[j][a]);
-            let shift = (0..2).map(|k| form.shift.g[k] * common[k]).sum::<f64>();
-            let u = (0..6).map(along).sum::<f64>() + shift;
+            let camera = (0..CAMERA).map(|k| form.camera.g[k] * common[k]).sum::<f64>();
+            let u = (0..6).map(along).sum::<f64>() + camera;
             of_frame[i] += u;
             of_frame[j] += u;
             squares += u * u;
@@ -72,7 +72,7 @@ impl Covariance<'_> {
 mod tests {
     use super::*;
     use crate::linear::Block;
-    use crate::pair::ShiftSums;
+    use crate::pair::CommonSums;
     use rand::RngExt;
     use sms_core::Seed;
 
@@ -105,12 +105,12 @@ mod tests {
             // The information of a pair states a deviation of 0.01; the true one is 0.03.
             let form = |_: &(usize, usize)| {
                 let g = [(); 6].map(|()| 1e4 * 0.03 * normal());
-                PairForm { h, g, shift: ShiftSums::default() }
+                PairForm { h, g, camera: CommonSums::default() }
             };
             let mut forms: Vec<PairForm> = pairs.iter().map(form).collect();
             let mut system = System::new(n);
             held(&mut system);
-            pairs.iter().zip(&forms).for_each(|(&(i, j), f)| system.add_pair(i, j, &f.h, &f.g, &f.shift));
+            pairs.iter().zip(&forms).for_each(|(&(i, j), f)| system.add_pair(i, j, &f.h, &f.g, &f.camera));
             let (steps, common) = system.solve().unwrap();
             let error = of.of(&steps, &common);
             squares += error * error;

@@ -2,8 +2,8 @@
 //! (calibration, interpolation, shading): 10⁵ points are not 10⁵ measurements. Each pair therefore has an unknown small
 //! motion f of its own, and its information is (H⁻¹ + Σ_f)⁻¹. The size of f follows from the pairs' disagreement.
 
-use crate::linear::{Block, Six, product};
-use crate::pair::ShiftSums;
+use crate::linear::{Block, CAMERA, Six, product};
+use crate::pair::CommonSums;
 use sms_core::{Cholesky, symmetric_eigen};
 
 /// Standard deviations of the floor motions.
@@ -20,17 +20,17 @@ pub(crate) struct PairFloor {
 pub(crate) struct PairForm {
     pub(crate) h: Block,
     pub(crate) g: Six,
-    pub(crate) shift: ShiftSums,
+    pub(crate) camera: CommonSums,
 }
 
 impl PairForm {
-    /// Returns the value for a motion and a colour shift.
-    pub(crate) fn value(&self, x: &Six, shift: [f64; 2]) -> f64 {
+    /// Returns the value for a motion and values of the cameras.
+    pub(crate) fn value(&self, x: &Six, camera: &[f64; CAMERA]) -> f64 {
         let hx = product(&self.h, x);
         let mut sum = (0..6).map(|k| x[k] * (0.5 * hx[k] + self.g[k])).sum::<f64>();
-        for k in 0..2 {
-            sum += shift[k] * (self.shift.g[k] + (0..6).map(|a| self.shift.by[k][a] * x[a]).sum::<f64>());
-            sum += 0.5 * shift[k] * (0..2).map(|l| self.shift.h[k][l] * shift[l]).sum::<f64>();
+        for k in 0..CAMERA {
+            sum += camera[k] * (self.camera.g[k] + (0..6).map(|a| self.camera.by[k][a] * x[a]).sum::<f64>());
+            sum += 0.5 * camera[k] * (0..CAMERA).map(|l| self.camera.h[k][l] * camera[l]).sum::<f64>();
         }
         sum
     }
@@ -40,11 +40,11 @@ impl PairForm {
         for a in 0..6 {
             self.g[a] -= other.g[a];
             (0..6).for_each(|b| self.h[a][b] += other.h[a][b]);
-            (0..2).for_each(|k| self.shift.by[k][a] -= other.shift.by[k][a]);
+            (0..CAMERA).for_each(|k| self.camera.by[k][a] -= other.camera.by[k][a]);
         }
-        for k in 0..2 {
-            self.shift.g[k] += other.shift.g[k];
-            (0..2).for_each(|l| self.shift.h[k][l] += other.shift.h[k][l]);
+        for k in 0..CAMERA {
+            self.camera.g[k] += other.camera.g[k];
+            (0..CAMERA).for_each(|l| self.camera.h[k][l] += other.camera.h[k][l]);
         }
         self
     }
@@ -82,13 +82,13 @@ impl PairFloor {
         let unscaled = |x: &Six| -> Six { std::array::from_fn(|a| x[a] / d[a]) };
         let g = damped(&form.g);
         floored.g = unscaled(&g);
-        for i in 0..2 {
-            let by = damped(&form.shift.by[i]);
-            floored.shift.by[i] = unscaled(&by);
-            let along = |v: &Six| (0..6).map(|a| d[a] * form.shift.by[i][a] * v[a]).sum::<f64>();
-            floored.shift.g[i] -= along(&g);
-            for j in 0..2 {
-                floored.shift.h[i][j] -= along(&damped(&form.shift.by[j]));
+        for i in 0..CAMERA {
+            let by = damped(&form.camera.by[i]);
+            floored.camera.by[i] = unscaled(&by);
+            let along = |v: &Six| (0..6).map(|a| d[a] * form.camera.by[i][a] * v[a]).sum::<f64>();
+            floored.camera.g[i] -= along(&g);
+            for j in 0..CAMERA {
+                floored.camera.h[i][j] -= along(&damped(&form.camera.by[j]));
             }
         }
         floored
@@ -140,33 +140,33 @@ mod tests {
     use sms_core::{Seed, StageRng};
 
     fn form(rng: &mut StageRng, rows: usize, size: f64) -> PairForm {
-        let mut form = PairForm { h: [[0.0; 6]; 6], g: [0.0; 6], shift: ShiftSums::default() };
+        let mut form = PairForm { h: [[0.0; 6]; 6], g: [0.0; 6], camera: CommonSums::default() };
         for _ in 0..rows {
             let v: Six = std::array::from_fn(|_| size * (rng.random::<f64>() - 0.5));
-            let c: [f64; 2] = std::array::from_fn(|_| size * (rng.random::<f64>() - 0.5));
+            let c: [f64; CAMERA] = std::array::from_fn(|_| size * (rng.random::<f64>() - 0.5));
             let r = rng.random::<f64>() - 0.5;
             for a in 0..6 {
                 form.g[a] += v[a] * r;
                 (0..6).for_each(|b| form.h[a][b] += v[a] * v[b]);
-                (0..2).for_each(|k| form.shift.by[k][a] += c[k] * v[a]);
+                (0..CAMERA).for_each(|k| form.camera.by[k][a] += c[k] * v[a]);
             }
-            for k in 0..2 {
-                form.shift.g[k] += c[k] * r;
-                (0..2).for_each(|l| form.shift.h[k][l] += c[k] * c[l]);
+            for k in 0..CAMERA {
+                form.camera.g[k] += c[k] * r;
+                (0..CAMERA).for_each(|l| form.camera.h[k][l] += c[k] * c[l]);
             }
         }
         form
     }
 
-    /// The value of a form at a difference and a shift, minimised over the floor motion.
-    fn minimised(form: &PairForm, floor: &PairFloor, delta: &Six, c: [f64; 2]) -> f64 {
+    /// The value of a form at a difference and values of the cameras, minimised over the floor motion.
+    fn minimised(form: &PairForm, floor: &PairFloor, delta: &Six, c: &[f64; CAMERA]) -> f64 {
         let d = floor.scales();
         // (H + Σ⁻¹) f = −(H δ + g + B c)
         let mut a = form.h;
         (0..6).for_each(|k| a[k][k] += d[k].powi(-2));
         let hx = product(&form.h, delta);
         let right: Six = std::array::from_fn(|k| {
-            hx[k] + form.g[k] + form.shift.by[0][k] * c[0] + form.shift.by[1][k] * c[1]
+            hx[k] + form.g[k] + (0..CAMERA).map(|l| form.camera.by[l][k] * c[l]).sum::<f64>()
         });
         let mut f = right.map(|v| -v);
         Cholesky::<6>::new(&a, 6).unwrap().solve(&mut f);
@@ -181,12 +181,12 @@ mod tests {
             let form = form(&mut rng, rows, 30.0);
             let floor = PairFloor { shift_m: 0.02, arm_m: 0.7 };
             let floored = floor.applied(&form);
-            let zero = minimised(&form, &floor, &[0.0; 6], [0.0; 2]);
+            let zero = minimised(&form, &floor, &[0.0; 6], &[0.0; CAMERA]);
             for _ in 0..20 {
                 let delta: Six = std::array::from_fn(|_| 0.1 * (rng.random::<f64>() - 0.5));
-                let c = [0.3 * (rng.random::<f64>() - 0.5), 0.3 * (rng.random::<f64>() - 0.5)];
-                let expected = minimised(&form, &floor, &delta, c) - zero;
-                let found = floored.value(&delta, c);
+                let c: [f64; CAMERA] = std::array::from_fn(|_| 0.3 * (rng.random::<f64>() - 0.5));
+                let expected = minimised(&form, &floor, &delta, &c) - zero;
+                let found = floored.value(&delta, &c);
                 assert!((found - expected).abs() < 1e-8 * (1.0 + expected.abs()), "{found} {expected}");
             }
         }

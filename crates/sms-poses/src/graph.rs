@@ -1,7 +1,7 @@
 //! Selection of the pairs of frames to compare.
 
 use crate::PosesConfig;
-use crate::views::{Point, PreparedFrame};
+use crate::views::{Point, PreparedFrame, pixel_of};
 use glamx::DPose3;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -114,7 +114,7 @@ fn overlap(
         let (mut landed, mut measured, mut met) = (0usize, 0usize, 0usize);
         for p in points {
             let q = x.transform_point(p.p_c);
-            if let Some((x, y)) = views[to].pixel_of(q) {
+            if let Some((x, y)) = pixel_of(&views[to].intrinsics, q) {
                 let z = f64::from(views[to].depth[y * views[to].intrinsics.width + x].z);
                 landed += 1;
                 measured += usize::from(z > 0.0);

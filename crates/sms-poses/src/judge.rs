@@ -2,9 +2,9 @@
 
 use crate::histogram::{Histogram, ResidualStats};
 use crate::pair::PairSums;
-use crate::refine::{BundleAdjustment, arcs, settle_brightness};
+use crate::refine::{BundleAdjustment, CameraValues, arcs, settle_brightness};
 use crate::residual::{LinearisationPoint, Phase, Weighing};
-use crate::views::{DirectedFrame, Point, PreparedFrame};
+use crate::views::{DirectedFrame, Point};
 use glamx::DPose3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -74,20 +74,19 @@ const LEAST_POINTS: u32 = 100;
 /// Minimum number of pairs for a judgement.
 const LEAST_PAIRS: usize = 4;
 
-/// Compares both sets of poses on the held-out pairs, or on the used pairs with other points if too few are held out.
-pub(crate) fn judge(problem: &BundleAdjustment<'_>, refined: &[DPose3], color_shift: [f64; 2]) -> Judgement {
+/// Poses, and the values of their cameras.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Posed<'a> {
+    pub(crate) poses: &'a [DPose3],
+    pub(crate) camera: CameraValues,
+}
+
+/// Compares two sets of poses on the held-out pairs, or on the used pairs with other points if too few are held out.
+pub(crate) fn judge(problem: &BundleAdjustment<'_>, before: Posed<'_>, after: Posed<'_>) -> Judgement {
     let pairs = &problem.graph.held_out;
     let pairs = if pairs.len() < LEAST_PAIRS { &problem.graph.pairs } else { pairs };
-    // The refinement uses the grid with an offset of half a step.
-    let points: Vec<Vec<Point>> = problem
-        .views
-        .par_iter()
-        .map(|v| {
-            v.alone().points(0, problem.config.point_stride.max(2.0), [0.0, 0.0], color_shift, problem.config)
-        })
-        .collect();
-    let before = residuals(problem, pairs, &points, problem.given, color_shift);
-    let after = residuals(problem, pairs, &points, refined, color_shift);
+    let before = residuals(problem, pairs, before);
+    let after = residuals(problem, pairs, after);
     let gain = |kind: fn(&ResidualStats) -> &Histogram| {
         let differences: Vec<(f64, f64)> = before
             .iter()
@@ -121,17 +120,21 @@ fn paired_gain(differences: &[(f64, f64)]) -> Gain {
 fn residuals(
     problem: &BundleAdjustment<'_>,
     pairs: &[(usize, usize)],
-    points: &[Vec<Point>],
-    poses: &[DPose3],
-    color_shift: [f64; 2],
+    Posed { poses, camera }: Posed<'_>,
 ) -> Vec<ResidualStats> {
     let mut arcs = arcs(pairs);
     let weighing = Weighing { depth_scale: 4.0, color_scale: 4.0, gate_m: problem.widest_gate_m() };
+    let color_shift = camera.color_shift_px;
     let at = LinearisationPoint { level: 0, poses, color_shift, phase: Phase::Approach };
-    let views: Vec<DirectedFrame<'_>> = problem.views.iter().map(PreparedFrame::alone).collect();
+    let views: Vec<DirectedFrame<'_>> =
+        problem.views.iter().map(|v| v.alone().with_focal(camera.focal)).collect();
+    // The refinement uses the grid with an offset of half a step.
+    let stride = problem.config.point_stride.max(2.0);
+    let of = |v: &DirectedFrame<'_>| v.points(0, stride, [0.0, 0.0], color_shift, problem.config);
+    let points: Vec<Vec<Point>> = views.par_iter().map(of).collect();
     let mut sums: Vec<PairSums> = Vec::new();
     for _ in 0..3 {
-        sums = problem.linearise_all(&views, &arcs, points, at, &weighing);
+        sums = problem.linearise_all(&views, &arcs, &points, at, &weighing);
         settle_brightness(&mut arcs, &sums);
     }
     sums.chunks_exact(2)

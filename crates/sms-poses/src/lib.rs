@@ -16,7 +16,8 @@
 //!   over 6 × 6 blocks). No single frame is held fixed: at the end, all cameras are moved rigidly so that the measured
 //!   points are closest, in the least-squares sense, to their positions under the given poses;
 //! - gain and offset of the brightness are fitted to each pair, and one shift of the colour against the depth to all
-//!   frames: without it, colour that is off by a few pixels would bias all poses to one side;
+//!   frames: without it, colour that is off by a few pixels would bias all poses to one side. So is a factor of the focal
+//!   length, which is used where it is more than chance;
 //! - the covariance of the result gives the uncertainty of the scene's size ([`SizeUncertainty`]): faces that can move
 //!   against each other at no cost do not show in the residuals.
 //!
@@ -67,18 +68,21 @@ pub use config::{PosesConfig, PosesMode};
 pub use judge::{Consistency, Gain, Judgement};
 pub use modes::{CommonMode, ModeKind};
 pub use odometry::{Trajectory, track_cameras};
-pub use report::{GivenSigma, HandEye, PoseCorrection, PoseOrigin, PoseReport, PoseVerdict, TimeOffset};
+pub use report::{
+    FocalChange, GivenSigma, HandEye, PoseCorrection, PoseOrigin, PoseReport, PoseVerdict, TimeOffset,
+};
 pub use size::{ExtentUncertainty, SizeUncertainty};
 
 use glamx::DPose3;
-use refine::{BundleAdjustment, Refined};
+use judge::Posed;
+use refine::{BundleAdjustment, CameraValues, Refined};
 use sms_core::{CoreError, StageContext, Warnings};
 use sms_frames::Sequence;
 
 /// A sequence with the poses to use, and the report on them.
 #[derive(Debug, Clone)]
 pub struct PoseRefinement {
-    /// The sequence; only `camera.x_wc` of its frames may differ from the given one's.
+    /// The sequence; only the poses and focal lengths of the cameras of its frames may differ from the given one's.
     pub sequence: Sequence,
     /// The report.
     pub report: PoseReport,
@@ -131,7 +135,8 @@ pub fn refine_poses(
     }
     let Refined {
         poses,
-        color_shift_px,
+        camera,
+        focal_sigma,
         shared,
         time_sigma_s,
         deviations,
@@ -143,7 +148,9 @@ pub fn refine_poses(
         iterations,
     } = problem.run(progress, cancel)?;
     let given_sigma = GivenSigma::of(&noise, given.len());
-    let judgement = judge::judge(&problem, &poses, color_shift_px);
+    // The shift of the colour is no part of the poses: it counts for both.
+    let before = Posed { poses: &given, camera: CameraValues { focal: 0.0, ..camera } };
+    let judgement = judge::judge(&problem, before, Posed { poses: &poses, camera });
     let corrections: Vec<PoseCorrection> = given
         .iter()
         .zip(&poses)
@@ -161,7 +168,8 @@ pub fn refine_poses(
         prospect: prospect.map(|p| p.gain),
         pairs: problem.graph.pairs.len(),
         iterations,
-        color_shift_px,
+        color_shift_px: camera.color_shift_px,
+        focal: focal_sigma.map(|sigma| FocalChange { share: camera.focal.exp_m1(), sigma }),
         hand_eye: Some(HandEye::of(&shared.hand_eye)),
         time_offset: time_sigma_s.map(|sigma_s| TimeOffset { value_s: shared.time_s, sigma_s }),
         given_sigma: Some(given_sigma),
@@ -193,6 +201,8 @@ pub fn refine_poses(
     if report.verdict == PoseVerdict::Refined {
         for (frame, pose) in sequence.frames.iter_mut().zip(poses) {
             frame.camera.x_wc = pose;
+            frame.camera.intrinsics.fx *= camera.focal.exp();
+            frame.camera.intrinsics.fy *= camera.focal.exp();
         }
     }
     Ok(PoseRefinement { sequence, report })
@@ -264,6 +274,18 @@ fn warn(
             "color_shifted",
             format!("the colour is shifted by {du:+.1}, {dv:+.1} pixels (right, down) against the depth"),
             "register the depth to the colour camera again: surface colours and mask edges are affected",
+        );
+    }
+    if let Some(focal) = report.focal.filter(|focal| focal.share != 0.0) {
+        warnings.add(
+            "poses",
+            "focal_length_corrected",
+            format!(
+                "the images agree with a focal length that is {:+.2} % from the recorded one (±{:.2} %); it is used",
+                1e2 * focal.share,
+                1e2 * focal.sigma
+            ),
+            "calibrate the camera; with `poses.prior_focal_share = 0`, the recorded focal length is used",
         );
     }
     let list =

@@ -1,7 +1,7 @@
 //! The linear system of all corrections: 6 × 6 blocks and a few values common to all frames, solved by conjugate
 //! gradients.
 
-use crate::pair::ShiftSums;
+use crate::pair::CommonSums;
 use rayon::prelude::*;
 use sms_core::Cholesky;
 
@@ -10,13 +10,17 @@ pub(crate) type Block = [[f64; 6]; 6];
 /// A correction (turn, shift) or its gradient.
 pub(crate) type Six = [f64; 6];
 
-/// Values common to all frames: the colour shift (x, y), the correction of the hand-eye pose (turn, shift), then the time offset of
+/// Values common to all frames: those of the cameras, then the correction of the hand-eye pose (turn, shift) and the time offset of
 /// the given poses.
-pub(crate) const COMMON: usize = 9;
+pub(crate) const COMMON: usize = 10;
+/// Number of the values of the cameras, which pairs of frames measure: the colour shift (x, y), then the focal length.
+pub(crate) const CAMERA: usize = 3;
+/// The logarithm of the factor of the focal length.
+pub(crate) const FOCAL: usize = 2;
 /// First of the values of the hand-eye pose.
-pub(crate) const HAND_EYE: usize = 2;
+pub(crate) const HAND_EYE: usize = 3;
 /// The time offset, seconds.
-pub(crate) const TIME: usize = 8;
+pub(crate) const TIME: usize = 9;
 /// The common values or their gradient.
 pub(crate) type Common = [f64; COMMON];
 
@@ -49,20 +53,20 @@ impl System {
         }
     }
 
-    /// Adds the terms of a pair: δᵢ − δⱼ and the colour shift.
-    pub(crate) fn add_pair(&mut self, i: usize, j: usize, h: &Block, g: &Six, shift: &ShiftSums) {
+    /// Adds the terms of a pair: δᵢ − δⱼ and the values of the cameras.
+    pub(crate) fn add_pair(&mut self, i: usize, j: usize, h: &Block, g: &Six, camera: &CommonSums) {
         for a in 0..6 {
             self.gradient[i][a] += g[a];
             self.gradient[j][a] -= g[a];
         }
-        for k in 0..2 {
+        for k in 0..CAMERA {
             for a in 0..6 {
-                self.by_common[k][i][a] += shift.by[k][a];
-                self.by_common[k][j][a] -= shift.by[k][a];
+                self.by_common[k][i][a] += camera.by[k][a];
+                self.by_common[k][j][a] -= camera.by[k][a];
             }
-            self.common_g[k] += shift.g[k];
-            for l in 0..2 {
-                self.common_h[k][l] += shift.h[k][l];
+            self.common_g[k] += camera.g[k];
+            for l in 0..CAMERA {
+                self.common_h[k][l] += camera.h[k][l];
             }
         }
         self.pairs.push((i, j, *h));
@@ -340,7 +344,7 @@ mod tests {
                 }
                 let h = random_block(&mut rng, 4).map(|r| r.map(|v| scale * v));
                 let g: Six = std::array::from_fn(|_| 1e3 * (rng.random::<f64>() - 0.5));
-                system.add_pair(i, j, &h, &g, &ShiftSums::default());
+                system.add_pair(i, j, &h, &g, &CommonSums::default());
                 for a in 0..6 {
                     for b in 0..6 {
                         for (r, c, sign) in [(i, i, 1.0), (j, j, 1.0), (i, j, -1.0), (j, i, -1.0)] {

@@ -56,7 +56,7 @@ fn differences(points: &[Point], into: DirectedFrame<'_>, x_ji: &DPose3) -> Vec<
     let mut found = Vec::new();
     for_each_landing(points, x_ji, into, |point, p, n_i, surface| {
         let gate_m = SAME_SURFACE * point.p_c.z;
-        let Some(met) = meeting(p, n_i, surface, &into.frame.intrinsics, gate_m) else { return };
+        let Some(met) = meeting(p, n_i, surface, &into.intrinsics, gate_m) else { return };
         let Some(n) = (met.n + n_i).try_normalize() else { return };
         let cosine = -n.dot(p) / p.z;
         if met.faces && point.is_flat && met.is_flat && cosine >= LEAST_COSINE {

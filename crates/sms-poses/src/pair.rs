@@ -11,25 +11,27 @@
 
 use crate::gram::Gram;
 use crate::histogram::ResidualStats;
-use crate::linear::{Block, Six};
+use crate::linear::{Block, CAMERA, FOCAL, Six};
 use crate::residual::{Brightness, Phase};
 use glamx::{DMat3, DVec3};
 use sms_core::symmetric_eigen;
 
-/// Unknowns besides the poses: the pair's gain and offset, then the colour shift of all frames (x, y).
-const EXTRA: usize = 4;
+/// Unknowns besides the poses: the pair's gain and offset, then the values of the cameras ([`CAMERA`]).
+const EXTRA: usize = 2 + CAMERA;
 
-/// Contribution of a pair to the colour shift, with gain and offset eliminated: the coupling with δ, and the block of
-/// the shift.
+/// Contribution of a pair to the values of the cameras, with gain and offset eliminated: the coupling with δ, and the block of
+/// these values.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct ShiftSums {
-    pub(crate) by: [Six; 2],
-    pub(crate) h: [[f64; 2]; 2],
-    pub(crate) g: [f64; 2],
+pub(crate) struct CommonSums {
+    pub(crate) by: [Six; CAMERA],
+    pub(crate) h: [[f64; CAMERA]; CAMERA],
+    pub(crate) g: [f64; CAMERA],
 }
 
 /// Unknowns of a direction: the motion (turn, shift), then the [`EXTRA`].
 pub(crate) const UNKNOWNS: usize = 6 + EXTRA;
+/// Unknowns on which depth depends, and their places: the motion, and the focal length.
+const OF_DEPTH: [usize; 7] = [0, 1, 2, 3, 4, 5, 8 + FOCAL];
 type Square = [[f64; UNKNOWNS]; UNKNOWNS];
 /// Derivatives of a colour residual with respect to all unknowns.
 pub(crate) type ColorRow = [f64; UNKNOWNS];
@@ -37,8 +39,8 @@ pub(crate) type ColorRow = [f64; UNKNOWNS];
 /// Sums in the axes of camera j.
 #[derive(Debug)]
 pub(crate) struct Sums {
-    /// Of derivatives with respect to the motion, and the residual.
-    depth: Gram<7>,
+    /// Of derivatives with respect to the unknowns of [`OF_DEPTH`], and the residual.
+    depth: Gram<8>,
     color: ColorSums,
 }
 
@@ -56,9 +58,10 @@ impl Sums {
         Self { depth: Gram::default(), color: ColorSums::new(phase) }
     }
 
-    pub(crate) fn add_depth(&mut self, jacobian: &Six, residual: f64, weight: f64) {
+    /// Adds a residual with its derivatives with respect to the motion and to the focal length.
+    pub(crate) fn add_depth(&mut self, jacobian: &Six, by_focal: f64, residual: f64, weight: f64) {
         let (root, [a, b, c, d, e, f]) = (weight.sqrt(), *jacobian);
-        self.depth.add(&[a, b, c, d, e, f, residual].map(|v| root * v));
+        self.depth.add(&[a, b, c, d, e, f, by_focal, residual].map(|v| root * v));
     }
 
     /// Adds a residual with its derivatives by the images of both frames.
@@ -70,9 +73,9 @@ impl Sums {
     pub(crate) fn in_world(self, r_wj: &DMat3, seen: ResidualStats) -> PairSums {
         let depth = self.depth.sums();
         let ColorForm { h: mut all, g: mut gradient, squares } = self.color.form();
-        for a in 0..6 {
-            gradient[a] += depth[a][6];
-            (0..6).for_each(|b| all[a][b] += depth[a][b]);
+        for (k, &a) in OF_DEPTH.iter().enumerate() {
+            gradient[a] += depth[k][7];
+            OF_DEPTH.iter().enumerate().for_each(|(l, &b)| all[a][b] += depth[k][l]);
         }
         let rotated = |s: &[f64]| -> Six {
             let (a, b) = (*r_wj * DVec3::new(s[0], s[1], s[2]), *r_wj * DVec3::new(s[3], s[4], s[5]));
@@ -91,7 +94,7 @@ impl Sums {
             by_extra: std::array::from_fn(|k| rotated(&all[6 + k])),
             extra_h: std::array::from_fn(|k| std::array::from_fn(|l| all[6 + k][6 + l])),
             extra_g: std::array::from_fn(|k| gradient[6 + k]),
-            cost: 0.5 * (depth[6][6] + squares),
+            cost: 0.5 * (depth[7][7] + squares),
             seen,
         }
     }
@@ -185,7 +188,7 @@ fn transposed(a: &Square) -> Square {
 pub(crate) struct PairSums {
     pub(crate) h: Block,
     pub(crate) g: Six,
-    /// Coupling with gain, offset and colour shift, and the block of these four.
+    /// Coupling with gain, offset and the values of the cameras, and the block of these.
     by_extra: [Six; EXTRA],
     extra_h: [[f64; EXTRA]; EXTRA],
     extra_g: [f64; EXTRA],
@@ -212,15 +215,15 @@ impl PairSums {
         [[d / det, -b / det], [-b / det, a / det]]
     }
 
-    /// Returns H, g and the terms of the colour shift with gain and offset eliminated, so that gain and offset stay
-    /// optimal for every correction.
-    pub(crate) fn reduced(&self) -> (Block, Six, ShiftSums) {
+    /// Returns H, g and the terms of the cameras with gain and offset eliminated, so that gain and offset stay optimal for every
+    /// correction.
+    pub(crate) fn reduced(&self) -> (Block, Six, CommonSums) {
         let inverse = self.brightness_inverse();
         let (mut h, mut g) = (self.h, self.g);
-        let mut shift = ShiftSums {
-            by: [self.by_extra[2], self.by_extra[3]],
+        let mut camera = CommonSums {
+            by: std::array::from_fn(|k| self.by_extra[2 + k]),
             h: std::array::from_fn(|k| std::array::from_fn(|l| self.extra_h[2 + k][2 + l])),
-            g: [self.extra_g[2], self.extra_g[3]],
+            g: std::array::from_fn(|k| self.extra_g[2 + k]),
         };
         for k in 0..2 {
             for l in 0..2 {
@@ -232,28 +235,33 @@ impl PairSums {
                         h[a][b] -= left * self.by_extra[l][b];
                     }
                 }
-                for m in 0..2 {
+                for m in 0..CAMERA {
                     let left = self.extra_h[2 + m][k] * w;
-                    shift.g[m] -= left * self.extra_g[l];
-                    for n in 0..2 {
-                        shift.h[m][n] -= left * self.extra_h[l][2 + n];
+                    camera.g[m] -= left * self.extra_g[l];
+                    for n in 0..CAMERA {
+                        camera.h[m][n] -= left * self.extra_h[l][2 + n];
                     }
                     for a in 0..6 {
-                        shift.by[m][a] -= left * self.by_extra[l][a];
+                        camera.by[m][a] -= left * self.by_extra[l][a];
                     }
                 }
             }
         }
-        (h, g, shift)
+        (h, g, camera)
     }
 
-    /// Returns the optimal gain and offset for a correction δ = δᵢ − δⱼ and a change of the colour shift.
-    pub(crate) fn brightness_after(&self, delta: &Six, shift: [f64; 2], before: Brightness) -> Brightness {
+    /// Returns the optimal gain and offset for a correction δ = δᵢ − δⱼ and a change of the values of the cameras.
+    pub(crate) fn brightness_after(
+        &self,
+        delta: &Six,
+        camera: &[f64; CAMERA],
+        before: Brightness,
+    ) -> Brightness {
         let inverse = self.brightness_inverse();
         let right: [f64; 2] = std::array::from_fn(|k| {
             self.extra_g[k]
                 + (0..6).map(|a| self.by_extra[k][a] * delta[a]).sum::<f64>()
-                + (0..2).map(|l| self.extra_h[k][2 + l] * shift[l]).sum::<f64>()
+                + (0..CAMERA).map(|l| self.extra_h[k][2 + l] * camera[l]).sum::<f64>()
         });
         Brightness {
             gain: before.gain - inverse[0][0] * right[0] - inverse[0][1] * right[1],
@@ -279,7 +287,7 @@ mod tests {
             let (mut h, mut g) = ([[0.0; 6]; 6], [0.0; 6]);
             for (k, row) in rows.iter().enumerate() {
                 let (r, w) = (0.3 + k as f64, 1.0 / (1.0 + k as f64));
-                sums.add_depth(row, r, w);
+                sums.add_depth(row, 0.0, r, w);
                 let (a, b) = (DVec3::from_slice(row), DVec3::from_slice(&row[3..]));
                 let world = [r_wj * a, r_wj * b].map(|v| v.to_array());
                 let world = world.as_flattened();
@@ -305,8 +313,8 @@ mod tests {
         // Residuals r + J δ + C (gain, offset, shift) of twelve measurements.
         let mut sums = Sums::new(Phase::Estimate);
         let pseudo = |k: usize, a: usize| ((k * k * 7 + a * a * 3 + k * a * 5) as f64).sin();
-        let rows: [(Six, f64, [f64; EXTRA]); 14] = std::array::from_fn(|k| {
-            let extra = [pseudo(k, 9), -1.0, pseudo(k, 11), pseudo(k, 13)];
+        let rows: [(Six, f64, [f64; EXTRA]); 16] = std::array::from_fn(|k| {
+            let extra = [pseudo(k, 9), -1.0, pseudo(k, 11), pseudo(k, 13), pseudo(k, 15)];
             (std::array::from_fn(|a| pseudo(k, a)), 0.1 * k as f64 - 0.3, extra)
         });
         for (j, r, c) in &rows {
@@ -314,10 +322,10 @@ mod tests {
             sums.add_color(&row, &row, *r, 1.0);
         }
         let pair = sums.in_world(&DMat3::IDENTITY, ResidualStats::default());
-        let (h, g, shift) = pair.reduced();
+        let (h, g, camera) = pair.reduced();
         // Frame 0 and a frame that a very strong prior holds fixed.
         let mut system = crate::linear::System::new(2);
-        system.add_pair(0, 1, &h, &g, &shift);
+        system.add_pair(0, 1, &h, &g, &camera);
         for a in 0..6 {
             let row = crate::linear::Row {
                 frames: vec![(1, std::array::from_fn(|b| f64::from(u8::from(a == b))))],
@@ -325,13 +333,13 @@ mod tests {
             };
             system.add_row(&row, 0.0, 1e9);
         }
-        (2..crate::linear::COMMON).for_each(|k| system.add_common(k, 0.0, 1.0));
+        (CAMERA..crate::linear::COMMON).for_each(|k| system.add_common(k, 0.0, 1.0));
         let (steps, common) = system.solve().unwrap();
-        let step = [common[0], common[1]];
+        let step = [common[0], common[1], common[2]];
         let delta: Six = std::array::from_fn(|a| steps[0][a] - steps[1][a]);
-        let after = pair.brightness_after(&delta, step, Brightness::default());
+        let after = pair.brightness_after(&delta, &step, Brightness::default());
         // At the joint minimum the residual is orthogonal to every column.
-        let all = [after.gain, after.offset, step[0], step[1]];
+        let all = [after.gain, after.offset, step[0], step[1], step[2]];
         let residual = |(j, r, c): &(Six, f64, [f64; EXTRA])| {
             r + (0..6).map(|a| j[a] * delta[a]).sum::<f64>() + (0..EXTRA).map(|k| c[k] * all[k]).sum::<f64>()
         };

@@ -4,7 +4,7 @@
 //! surface. Here the measured points of all frames are summed up in cells of several sizes. A cell takes its normal from the
 //! largest window around it in which the points are as near to a plane as their noise allows.
 
-use crate::views::{Direction, Point, PreparedFrame, pixel_point};
+use crate::views::{DirectedFrame, Direction, Point, pixel_point};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use sms_core::symmetric_eigen;
@@ -232,19 +232,19 @@ impl PlaneMap {
     }
 
     /// Returns the directions of a frame: those of the map, and the frame's own where the map has none.
-    pub(crate) fn directions(&self, view: &PreparedFrame, x_wc: &DPose3) -> Vec<Direction> {
+    pub(crate) fn directions(&self, view: DirectedFrame<'_>, x_wc: &DPose3) -> Vec<Direction> {
         let k = &view.intrinsics;
         let back = x_wc.rotation.inverse();
         let of = |(measured, own): (&Option<usize>, &Direction)| {
             let Some(i) = *measured else { return Direction::default() };
-            let z = f64::from(view.depth[i].z);
+            let z = f64::from(view.frame.depth[i].z);
             let p = pixel_point(k, (i % k.width) as i64, (i / k.width) as i64, z);
             let key = key_of(x_wc.transform_point(p) - self.center_w, self.cell_m);
             let Some((n_w, is_flat)) = self.normal_w(key) else { return own.not_flat() };
             let n = back * n_w;
             Direction::new(if n.dot(p) < 0.0 { n } else { DVec3::ZERO }, is_flat)
         };
-        view.blocks.measured.iter().zip(&view.directions).map(of).collect()
+        view.frame.blocks.measured.iter().zip(&view.frame.directions).map(of).collect()
     }
 }
 

@@ -7,10 +7,11 @@ use crate::floor::{PairFloor, PairForm};
 use crate::given::{GivenNoise, GivenPoses, Shared, rates};
 use crate::graph::{Graph, choose_pairs};
 use crate::histogram::ResidualStats;
-use crate::linear::{COMMON, HAND_EYE, Six, System, TIME};
+use crate::judge::{Posed, judge};
+use crate::linear::{CAMERA, COMMON, Common, FOCAL, HAND_EYE, Six, System, TIME};
 use crate::modes::{CommonMode, largest_mode};
 use crate::noise::depth_noise;
-use crate::pair::{PairSums, ShiftSums};
+use crate::pair::{CommonSums, PairSums};
 use crate::planes::PlaneMap;
 use crate::residual::{Arc, Brightness, LinearisationPoint, Phase, Weighing, linearise};
 use crate::size::SizeUncertainty;
@@ -37,6 +38,7 @@ pub(crate) struct BundleAdjustment<'a> {
 }
 
 /// The values that the refinement estimates, and the weights of its next iteration.
+#[derive(Clone)]
 struct RefinementState {
     /// Surface directions of each frame under the present poses.
     directions: Vec<Vec<Direction>>,
@@ -45,15 +47,36 @@ struct RefinementState {
     rates: Vec<Six>,
     /// Corrections of the given poses that all frames share.
     shared: Shared,
-    /// Shift of the colour against the depth, pixels at loaded size.
-    color_shift: [f64; 2],
-    /// Size of a shift that is held at zero, as it was estimated.
-    apparent_shift_px: [f64; 2],
+    camera: CameraValues,
+    /// Whether each value of the cameras is estimated, or held at zero.
+    is_free: [bool; CAMERA],
+    /// Size of a value that is held at zero, as it was estimated.
+    apparent: [f64; CAMERA],
     phase: Phase,
     arcs: Vec<Arc>,
     weighing: Weighing,
     floor: PairFloor,
     noise: GivenNoise,
+}
+
+/// Values of the cameras, which all frames share.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct CameraValues {
+    /// Shift of the colour against the depth, pixels at loaded size.
+    pub(crate) color_shift_px: [f64; 2],
+    /// Logarithm of the factor by which the focal length differs from the recorded one.
+    pub(crate) focal: f64,
+}
+
+impl CameraValues {
+    fn to_array(self) -> [f64; CAMERA] {
+        let [x, y] = self.color_shift_px;
+        [x, y, self.focal]
+    }
+
+    fn from_array([x, y, focal]: [f64; CAMERA]) -> Self {
+        Self { color_shift_px: [x, y], focal }
+    }
 }
 
 /// An examination of the given poses.
@@ -66,8 +89,9 @@ pub(crate) struct Prospect {
 /// The result of a refinement.
 pub(crate) struct Refined {
     pub(crate) poses: Vec<DPose3>,
-    /// Shift of the colour against the depth, pixels at loaded size.
-    pub(crate) color_shift_px: [f64; 2],
+    pub(crate) camera: CameraValues,
+    /// Standard deviation of the focal length, as a share; `None` if it cannot be computed.
+    pub(crate) focal_sigma: Option<f64>,
     pub(crate) shared: Shared,
     /// Standard deviation of the time offset, seconds; `None` if the times of the frames are not known.
     pub(crate) time_sigma_s: Option<f64>,
@@ -81,6 +105,16 @@ pub(crate) struct Refined {
     /// The common change of the poses that is least like noise.
     pub(crate) common_mode: Option<CommonMode>,
     pub(crate) iterations: usize,
+}
+
+/// Standard deviations of an estimate; `None` where they cannot be computed.
+#[derive(Debug, Default)]
+struct Uncertainty {
+    size: Option<SizeUncertainty>,
+    /// Of the time offset, seconds; also `None` if the times of the frames are not known.
+    time_s: Option<f64>,
+    /// Of the focal length, as a share.
+    focal: Option<f64>,
 }
 
 /// Rounds of estimating the noise and refining with it, after a first refinement near the solution.
@@ -103,8 +137,13 @@ fn weight_of(sigma: f64) -> f64 {
 /// Sets gain and offset of each pair to those that fit best, without a motion.
 pub(crate) fn settle_brightness(arcs: &mut [Arc], sums: &[PairSums]) {
     for (arc, pair) in arcs.iter_mut().zip(sums) {
-        arc.brightness = pair.brightness_after(&[0.0; 6], [0.0; 2], arc.brightness);
+        arc.brightness = pair.brightness_after(&[0.0; 6], &[0.0; CAMERA], arc.brightness);
     }
+}
+
+/// Returns the values of the cameras.
+fn camera_part(common: &Common) -> [f64; CAMERA] {
+    std::array::from_fn(|k| common[k])
 }
 
 /// Returns δᵢ − δⱼ.
@@ -188,27 +227,27 @@ impl<'a> BundleAdjustment<'a> {
     /// Replaces the normals by those of all frames together, and the rates by those of the present poses.
     fn renew_surfaces_and_rates(&self, estimate: &mut RefinementState) {
         estimate.rates = rates(&estimate.poses, self.times_s);
-        let alone: Vec<DirectedFrame<'_>> = self.views.iter().map(PreparedFrame::alone).collect();
+        let alone: Vec<DirectedFrame<'_>> =
+            self.views.iter().map(|v| v.alone().with_focal(estimate.camera.focal)).collect();
         let points = self.points(&alone, 0, [0.0; 2]);
         let cell_m = CELL_SHARE * self.config.point_stride * self.pixel_at_scene_m(0);
         let map = PlaneMap::new(&points, &estimate.poses, self.center_w, cell_m);
         estimate.directions =
-            self.views.par_iter().zip(&estimate.poses).map(|(v, x)| map.directions(v, x)).collect();
+            alone.par_iter().zip(&estimate.poses).map(|(v, x)| map.directions(*v, x)).collect();
     }
 
-    /// Returns the frames with other directions than their own.
-    fn directed<'b>(&'b self, directions: &'b [Vec<Direction>]) -> Vec<DirectedFrame<'b>> {
-        let with = |(frame, directions): (&'b PreparedFrame, &'b Vec<Direction>)| DirectedFrame {
-            frame,
-            directions,
+    /// Returns the frames with other directions than their own, and with another focal length.
+    fn directed<'b>(&'b self, directions: &'b [Vec<Direction>], focal: f64) -> Vec<DirectedFrame<'b>> {
+        let with = |(frame, directions): (&'b PreparedFrame, &'b Vec<Direction>)| {
+            DirectedFrame { directions, ..frame.alone() }.with_focal(focal)
         };
         self.views.iter().zip(directions).map(with).collect()
     }
 
     /// Linearises all pairs at the estimate; returns the sums of both directions of each.
     fn pass(&self, level: usize, estimate: &RefinementState) -> Vec<PairSums> {
-        let views = self.directed(&estimate.directions);
-        let points = self.points(&views, level, estimate.color_shift);
+        let views = self.directed(&estimate.directions, estimate.camera.focal);
+        let points = self.points(&views, level, estimate.camera.color_shift_px);
         self.linearise_at(level, &views, &points, estimate)
     }
 
@@ -220,7 +259,8 @@ impl<'a> BundleAdjustment<'a> {
         points: &[Vec<Point>],
         estimate: &RefinementState,
     ) -> Vec<PairSums> {
-        let &RefinementState { ref poses, color_shift, phase, .. } = estimate;
+        let &RefinementState { ref poses, phase, .. } = estimate;
+        let color_shift = estimate.camera.color_shift_px;
         let at = LinearisationPoint { level, poses, color_shift, phase };
         self.linearise_all(views, &estimate.arcs, points, at, &estimate.weighing)
     }
@@ -230,34 +270,34 @@ impl<'a> BundleAdjustment<'a> {
         let share = self.config.independent_share;
         let scaled = |s: Six| s.map(|v| share * v);
         let of = |pair: &PairSums| {
-            let (h, g, shift) = pair.reduced();
-            let shift = ShiftSums {
-                by: shift.by.map(scaled),
-                h: shift.h.map(|r| r.map(|v| share * v)),
-                g: shift.g.map(|v| share * v),
+            let (h, g, camera) = pair.reduced();
+            let camera = CommonSums {
+                by: camera.by.map(scaled),
+                h: camera.h.map(|r| r.map(|v| share * v)),
+                g: camera.g.map(|v| share * v),
             };
-            PairForm { h: h.map(scaled), g: scaled(g), shift }
+            PairForm { h: h.map(scaled), g: scaled(g), camera }
         };
         sums.chunks_exact(2).map(|both| of(&both[0]).with_reverse(&of(&both[1]))).collect()
     }
 
     /// Returns the linear system of all corrections from the forms with the floor.
-    fn system(&self, floored: &[PairForm], estimate: &RefinementState, shift_is_free: [bool; 2]) -> System {
-        let mut system = self.prior(estimate, shift_is_free);
+    fn system(&self, floored: &[PairForm], estimate: &RefinementState) -> System {
+        let mut system = self.prior(estimate);
         for (&(i, j), form) in self.graph.pairs.iter().zip(floored) {
-            system.add_pair(i, j, &form.h, &form.g, &form.shift);
+            system.add_pair(i, j, &form.h, &form.g, &form.camera);
         }
         system
     }
 
     /// Returns the part of the system that no pair contributes to: the given poses and the common values.
-    fn prior(&self, estimate: &RefinementState, shift_is_free: [bool; 2]) -> System {
+    fn prior(&self, estimate: &RefinementState) -> System {
         let config = self.config;
         let mut system = System::new(estimate.poses.len());
-        // A shift that is not estimated is held constant.
-        for k in 0..2 {
-            let sigma_px = if shift_is_free[k] { config.prior_color_shift_px } else { 0.0 };
-            system.add_common(k, estimate.color_shift[k], weight_of(sigma_px));
+        // A value that is not estimated is held constant.
+        let sigmas = self.camera_sigmas();
+        for (k, value) in estimate.camera.to_array().into_iter().enumerate() {
+            system.add_common(k, value, weight_of(if estimate.is_free[k] { sigmas[k] } else { 0.0 }));
         }
         let turn = estimate.shared.hand_eye.rotation.to_scaled_axis();
         let shift = estimate.shared.hand_eye.translation;
@@ -270,6 +310,23 @@ impl<'a> BundleAdjustment<'a> {
         system
     }
 
+    /// Returns the standard deviations of the values of the cameras before an estimate.
+    fn camera_sigmas(&self) -> [f64; CAMERA] {
+        let PosesConfig { prior_color_shift_px, prior_focal_share, .. } = *self.config;
+        [prior_color_shift_px, prior_color_shift_px, prior_focal_share]
+    }
+
+    /// Returns errors of the values of the cameras that all points may share: those of shading that changes with the view, and of
+    /// depth that is wrong at edges.
+    fn camera_slips(&self) -> [f64; CAMERA] {
+        let Some(view) = self.views.first() else { return [0.0; CAMERA] };
+        let slip_px = self.config.color_slip_px * view.scale(0);
+        // Root mean square distance of the pixels from the middle of the image.
+        let distance_px =
+            ((view.intrinsics.width.pow(2) + view.intrinsics.height.pow(2)) as f64 / 12.0).sqrt();
+        [slip_px, slip_px, slip_px / distance_px]
+    }
+
     /// Returns the state at the given poses.
     fn start(&self) -> RefinementState {
         RefinementState {
@@ -277,8 +334,9 @@ impl<'a> BundleAdjustment<'a> {
             poses: self.given.to_vec(),
             rates: vec![[0.0; 6]; self.given.len()],
             shared: Shared::default(),
-            color_shift: [0.0; 2],
-            apparent_shift_px: [0.0; 2],
+            camera: CameraValues::default(),
+            is_free: self.camera_sigmas().map(|sigma| sigma > 0.0),
+            apparent: [0.0; CAMERA],
             phase: Phase::Approach,
             arcs: arcs(&self.graph.pairs),
             weighing: Weighing::first(self.widest_gate_m()),
@@ -292,7 +350,6 @@ impl<'a> BundleAdjustment<'a> {
         &self,
         level: usize,
         estimate: &mut RefinementState,
-        shift_is_free: [bool; 2],
         cancel: &Cancel,
         mut tick: impl FnMut(&str),
     ) -> Result<usize, CoreError> {
@@ -302,11 +359,14 @@ impl<'a> BundleAdjustment<'a> {
             cancel.check()?;
             let sums = self.pass(level, estimate);
             let floored = estimate.floor.applied_to_all(&self.forms(&sums));
-            let system = self.system(&floored, estimate, shift_is_free);
+            let system = self.system(&floored, estimate);
             let Some((steps, common)) = system.solve() else { return Ok(iteration) };
-            let shift_step = [common[0], common[1]];
-            let RefinementState { poses, color_shift, arcs, .. } = estimate;
-            (0..2).for_each(|k| color_shift[k] += shift_step[k]);
+            // Values that are held stay exactly as they are.
+            let steps_of = camera_part(&common);
+            let camera_step = std::array::from_fn(|k| if estimate.is_free[k] { steps_of[k] } else { 0.0 });
+            let camera = estimate.camera.to_array();
+            estimate.camera = CameraValues::from_array(std::array::from_fn(|k| camera[k] + camera_step[k]));
+            let RefinementState { poses, arcs, .. } = estimate;
             estimate.shared = estimate.shared.after(&common);
             let mut squares = 0.0;
             for (pose, step) in poses.iter_mut().zip(&steps) {
@@ -318,7 +378,7 @@ impl<'a> BundleAdjustment<'a> {
             }
             for (arc, pair) in arcs.iter_mut().zip(&sums) {
                 let delta = difference(&steps, arc.from, arc.to);
-                arc.brightness = pair.brightness_after(&delta, shift_step, arc.brightness);
+                arc.brightness = pair.brightness_after(&delta, &camera_step, arc.brightness);
             }
             estimate.weighing = self.weighing_after(&sums, &estimate.weighing);
             // A root mean square: a single frame that is badly determined must not keep all from being done.
@@ -339,8 +399,8 @@ impl<'a> BundleAdjustment<'a> {
         let mut estimate = self.start();
         self.renew_surfaces_and_rates(&mut estimate);
         let directions = std::mem::take(&mut estimate.directions);
-        let views = self.directed(&directions);
-        let points = self.points(&views, 0, estimate.color_shift);
+        let views = self.directed(&directions, estimate.camera.focal);
+        let points = self.points(&views, 0, estimate.camera.color_shift_px);
         let mut sums = Vec::new();
         for _ in 0..PASSES {
             sums = self.linearise_at(0, &views, &points, &estimate);
@@ -348,11 +408,11 @@ impl<'a> BundleAdjustment<'a> {
             estimate.weighing = self.weighing_after(&sums, &estimate.weighing);
         }
         let forms = self.forms(&sums);
-        let system = self.system(&forms, &estimate, [self.config.prior_color_shift_px > 0.0; 2]);
+        let system = self.system(&forms, &estimate);
         let depth_noise = depth_noise(&views, &points, &estimate.poses, &self.graph.pairs);
         let Some((steps, common)) = system.solve() else { return Prospect { gain: 0.0, depth_noise } };
         let decrease = |(&(i, j), form): (&(usize, usize), &PairForm)| {
-            -form.value(&difference(&steps, i, j), [common[0], common[1]])
+            -form.value(&difference(&steps, i, j), &camera_part(&common))
         };
         let cost = self.config.independent_share * sums.iter().map(|s| s.cost).sum::<f64>();
         let gain = self.graph.pairs.iter().zip(&forms).map(decrease).sum::<f64>() / cost.max(1e-300);
@@ -360,12 +420,12 @@ impl<'a> BundleAdjustment<'a> {
     }
 
     /// Estimates the noise floor of the pairs and the noise of the given poses from the forms at the estimate.
-    fn estimate_noise(&self, forms: &[PairForm], estimate: &mut RefinementState, shift_is_free: [bool; 2]) {
+    fn estimate_noise(&self, forms: &[PairForm], estimate: &mut RefinementState) {
         let unknown = 6 * self.graph.paired().len().saturating_sub(1);
         estimate.floor = PairFloor::fitted(forms, self.arm_m, unknown);
         let floored = estimate.floor.applied_to_all(forms);
         for _ in 0..NOISE_STEPS {
-            let system = self.system(&floored, estimate, shift_is_free);
+            let system = self.system(&floored, estimate);
             let Some(inverse) = system.inverse() else { return };
             estimate.noise = self.given_poses(estimate).noise_after(
                 &inverse,
@@ -401,7 +461,6 @@ impl<'a> BundleAdjustment<'a> {
         progress.begin("poses", planned as u64);
         let mut estimate = self.start();
         let (mut done, mut iterations) = (0, 0);
-        let mut free = [self.config.prior_color_shift_px > 0.0; 2];
         for level in (0..levels).rev() {
             let mut at = done;
             let tick = |message: &str| {
@@ -409,38 +468,40 @@ impl<'a> BundleAdjustment<'a> {
                 progress.update(at as u64, message);
             };
             self.renew_surfaces_and_rates(&mut estimate);
-            iterations += self.refine_level(level, &mut estimate, free, cancel, tick)?;
+            iterations += self.refine_level(level, &mut estimate, cancel, tick)?;
             done += self.config.iterations[level];
         }
         estimate.phase = Phase::Estimate;
         for round in 0..if levels > 0 { 1 + NOISE_ROUNDS } else { 0 } {
             self.renew_surfaces_and_rates(&mut estimate);
             let tick = |message: &str| progress.update(done as u64, message);
-            iterations += self.refine_level(0, &mut estimate, free, cancel, tick)?;
+            iterations += self.refine_level(0, &mut estimate, cancel, tick)?;
             if round == NOISE_ROUNDS {
                 break;
             }
             let forms = self.forms(&self.pass(0, &estimate));
-            self.estimate_noise(&forms, &mut estimate, free);
-            self.hold_insignificant_shifts(&forms, &mut estimate, &mut free);
+            self.estimate_noise(&forms, &mut estimate);
+            self.hold_insignificant_values(&forms, &mut estimate);
+            iterations += self.hold_useless_focal(&mut estimate, cancel)?;
         }
-        let views = self.directed(&estimate.directions);
-        let points = self.points(&views, 0, estimate.color_shift);
+        let views = self.directed(&estimate.directions, estimate.camera.focal);
+        let points = self.points(&views, 0, estimate.camera.color_shift_px);
         let depth_noise = depth_noise(&views, &points, &estimate.poses, &self.graph.pairs);
-        let (uncertainty, time_sigma_s) =
-            if levels > 0 { self.uncertainty(&estimate, free) } else { (None, None) };
+        let Uncertainty { size, time_s: time_sigma_s, focal: focal_sigma } =
+            if levels > 0 { self.uncertainty(&estimate) } else { Uncertainty::default() };
         let (centers_w, shifts) = self.given_poses(&estimate).shifts(&estimate.poses, &estimate.shared);
         let common_mode = largest_mode(&centers_w, &shifts, &estimate.noise);
         Ok(Refined {
-            poses: self.in_place(&estimate.poses),
-            color_shift_px: estimate.color_shift,
+            poses: self.in_place(&estimate.poses, estimate.camera.focal),
+            camera: estimate.camera,
+            focal_sigma,
             shared: estimate.shared,
             time_sigma_s,
             deviations: self.given_poses(&estimate).lengths(&estimate.poses, &estimate.shared),
             noise: estimate.noise,
             floor: estimate.floor,
             depth_noise,
-            uncertainty,
+            uncertainty: size,
             common_mode,
             iterations,
         })
@@ -451,81 +512,100 @@ impl<'a> BundleAdjustment<'a> {
         &self,
         forms: &[PairForm],
         estimate: &RefinementState,
-        shift_is_free: [bool; 2],
         f: impl FnOnce(&Covariance<'_>) -> T,
     ) -> Option<T> {
         let forms = estimate.floor.applied_to_all(forms);
-        let system = self.system(&forms, estimate, shift_is_free);
-        let prior = self.prior(estimate, shift_is_free);
+        let system = self.system(&forms, estimate);
+        let prior = self.prior(estimate);
         let inverse = system.inverse()?;
         let pairs = &self.graph.pairs;
-        // A shift that is held at zero may still be real: it counts with the size that the data show.
-        let shifted = |k: usize| {
+        // A value that is held at zero may still be real: it counts with the size that the data show.
+        let changed = |k: usize| {
             let mut common = [0.0; COMMON];
-            common[k] = HELD * estimate.apparent_shift_px[k];
+            common[k] = HELD * estimate.apparent[k];
             inverse.times(&vec![[0.0; 6]; estimate.poses.len()], &common)
         };
-        let considered = (0..2).filter(|&k| !shift_is_free[k]).map(shifted).collect();
+        let considered = (0..CAMERA).filter(|&k| !estimate.is_free[k]).map(changed).collect();
         let paired = self.graph.paired().len();
         Some(f(&Covariance { inverse: &inverse, prior: &prior, pairs, paired, forms: &forms, considered }))
     }
 
-    /// Sets the shift of the colour along x and y to zero, and holds it there, unless it is larger than chance and than the
-    /// error that all points may share: shading that changes with the view, and depth that is wrong at edges.
-    fn hold_insignificant_shifts(
-        &self,
-        forms: &[PairForm],
-        estimate: &mut RefinementState,
-        shift_is_free: &mut [bool; 2],
-    ) {
-        if !shift_is_free.contains(&true) {
+    /// Sets each value of the cameras to zero, and holds it there, unless it is larger than chance and than the error that all
+    /// points may share.
+    fn hold_insignificant_values(&self, forms: &[PairForm], estimate: &mut RefinementState) {
+        if !estimate.is_free.contains(&true) {
             return;
         }
-        let sigmas =
-            self.with_covariance(forms, estimate, *shift_is_free, |c| [0, 1].map(|k| c.common_sigma(k)));
-        let slip_px = self.config.color_slip_px * self.views.first().map_or(1.0, |v| v.scale(0));
-        for k in (0..2).filter(|&k| shift_is_free[k]).collect::<Vec<_>>() {
-            let shift_px = estimate.color_shift[k];
+        let sigmas = self
+            .with_covariance(forms, estimate, |c| std::array::from_fn::<_, CAMERA, _>(|k| c.common_sigma(k)));
+        let mut camera = estimate.camera.to_array();
+        for (k, slip) in self.camera_slips().into_iter().enumerate() {
             // Without a standard deviation, nothing tells that it is more than chance.
-            let sigma_px = sigmas.and_then(|s| s[k]);
-            if sigma_px.is_none_or(|s| shift_px.abs() <= SIGNIFICANT * s.hypot(slip_px)) {
-                shift_is_free[k] = false;
-                estimate.apparent_shift_px[k] = shift_px.hypot(sigma_px.unwrap_or(slip_px));
-                estimate.color_shift[k] = 0.0;
+            let sigma = sigmas.and_then(|s| s[k]);
+            let is_chance = sigma.is_none_or(|s| camera[k].abs() <= SIGNIFICANT * s.hypot(slip));
+            if estimate.is_free[k] && is_chance {
+                estimate.is_free[k] = false;
+                estimate.apparent[k] = camera[k].hypot(sigma.unwrap_or(slip));
+                camera[k] = 0.0;
             }
         }
+        estimate.camera = CameraValues::from_array(camera);
     }
 
-    /// Returns the uncertainty of the scene's size, and the standard deviation of the time offset.
-    fn uncertainty(
+    /// Holds the recorded focal length unless held-out pairs agree better with another. Errors of depth that no noise model
+    /// knows can look like a focal length that many standard deviations exclude, and that reduces no residual: the poses would
+    /// absorb it. It then counts as uncertainty of the size. Returns the number of iterations.
+    fn hold_useless_focal(
         &self,
-        estimate: &RefinementState,
-        shift_is_free: [bool; 2],
-    ) -> (Option<SizeUncertainty>, Option<f64>) {
+        estimate: &mut RefinementState,
+        cancel: &Cancel,
+    ) -> Result<usize, CoreError> {
+        if !estimate.is_free[FOCAL] {
+            return Ok(0);
+        }
+        let mut held = estimate.clone();
+        held.is_free[FOCAL] = false;
+        held.apparent[FOCAL] = held.camera.focal;
+        held.camera.focal = 0.0;
+        let iterations = self.refine_level(0, &mut held, cancel, |_| ())?;
+        let [before, after] =
+            [&held, &*estimate].map(|state| Posed { poses: &state.poses, camera: state.camera });
+        if !judge(self, before, after).improved() {
+            *estimate = held;
+        }
+        Ok(iterations)
+    }
+
+    /// Returns the standard deviations of the scene's size, of the time offset and of the focal length.
+    fn uncertainty(&self, estimate: &RefinementState) -> Uncertainty {
         let coarse = self.views.first().map_or(0, |v| v.luma.len() - 1);
         let points: Vec<Vec<Point>> = self
-            .directed(&estimate.directions)
+            .directed(&estimate.directions, estimate.camera.focal)
             .iter()
             .map(|v| v.points(coarse, 1.0, [0.5; 2], [0.0; 2], self.config))
             .collect();
         let forms = self.forms(&self.pass(0, estimate));
-        self.with_covariance(&forms, estimate, shift_is_free, |covariance| {
-            let size = SizeUncertainty::of(covariance, &estimate.poses, &points, self.center_w);
+        self.with_covariance(&forms, estimate, |covariance| {
             let is_timed = estimate.rates.iter().any(|rate| *rate != [0.0; 6]);
-            (size, covariance.common_sigma(TIME).filter(|_| is_timed))
+            Uncertainty {
+                size: SizeUncertainty::of(covariance, &estimate.poses, &points, self.center_w),
+                time_s: covariance.common_sigma(TIME).filter(|_| is_timed),
+                focal: covariance.common_sigma(FOCAL),
+            }
         })
         .unwrap_or_default()
     }
 
     /// Removes the common rigid motion: aligns the measured points with their positions under the given poses, so that
     /// masks, models and directions known in the given world stay valid.
-    fn in_place(&self, poses: &[DPose3]) -> Vec<DPose3> {
+    fn in_place(&self, poses: &[DPose3], focal: f64) -> Vec<DPose3> {
         let (mut from, mut to) = (Vec::new(), Vec::new());
         for ((view, given), refined) in self.views.iter().zip(self.given).zip(poses) {
-            for point in view.alone().points(view.luma.len() - 1, 2.0, [0.5, 0.5], [0.0; 2], self.config) {
-                from.push(refined.transform_point(point.p_c));
-                to.push(given.transform_point(point.p_c));
-            }
+            let of = |view: DirectedFrame<'_>| {
+                view.points(view.frame.luma.len() - 1, 2.0, [0.5, 0.5], [0.0; 2], self.config)
+            };
+            from.extend(of(view.alone().with_focal(focal)).iter().map(|p| refined.transform_point(p.p_c)));
+            to.extend(of(view.alone()).iter().map(|p| given.transform_point(p.p_c)));
         }
         let back = align_rigidly(&from, &to);
         poses.iter().map(|x| back * *x).collect()

@@ -49,6 +49,15 @@ impl TimeOffset {
     }
 }
 
+/// The focal length of the cameras against the recorded one.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct FocalChange {
+    /// Its difference as a share; 0 if that is not more than chance.
+    pub share: f64,
+    /// The standard deviation of the share.
+    pub sigma: f64,
+}
+
 /// Estimated standard deviations of the given poses per axis, after the correction that they share.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct GivenSigma {
@@ -129,6 +138,9 @@ pub struct PoseReport {
     pub iterations: usize,
     /// Estimated shift of the colour against the depth, pixels at loaded size (right, down).
     pub color_shift_px: [f64; 2],
+    /// Focal length of the cameras; also `None` if its uncertainty cannot be computed.
+    #[serde(default)]
+    pub focal: Option<FocalChange>,
     /// The correction that all frames share; like all that follows, `None` without a refinement.
     #[serde(default)]
     pub hand_eye: Option<HandEye>,
@@ -215,6 +227,9 @@ impl PoseReport {
             m.set("poses.color_before", j.before.color_median).set("poses.color_after", j.after.color_median);
             m.set("poses.color_shift_x_px", self.color_shift_px[0]);
             m.set("poses.color_shift_y_px", self.color_shift_px[1]);
+            if let Some(focal) = &self.focal {
+                m.set("poses.focal_share", focal.share).set("poses.focal_sigma", focal.sigma);
+            }
             if let Some(time) = &self.time_offset {
                 m.set("poses.time_offset_s", time.value_s).set("poses.time_offset_sigma_s", time.sigma_s);
             }
@@ -237,6 +252,9 @@ impl PoseReport {
         }
         m.set("check.color_shift_x_px", self.color_shift_px[0]);
         m.set("check.color_shift_y_px", self.color_shift_px[1]);
+        if let Some(focal) = self.focal {
+            m.set("check.focal_share", focal.share).set("check.focal_sigma", focal.sigma);
+        }
         if let Some(time) = self.time_offset.filter(|_| self.origin == PoseOrigin::Recorded) {
             m.set("check.time_offset_s", time.value_s).set("check.time_offset_sigma_s", time.sigma_s);
         }
@@ -265,6 +283,14 @@ impl PoseReport {
         } else {
             format!("colour            {du:+.1}, {dv:+.1} pixels (right, down) beside the depth")
         });
+        if let Some(focal) = self.focal {
+            let (share, sigma) = (1e2 * focal.share, 1e2 * focal.sigma);
+            lines.push(if focal.share == 0.0 {
+                format!("focal length      as recorded (±{sigma:.2} %)")
+            } else {
+                format!("focal length      {share:+.2} % from the recorded one (±{sigma:.2} %)")
+            });
+        }
         let are_recorded = self.origin == PoseOrigin::Recorded;
         if let Some(time) = self.time_offset.filter(|_| are_recorded) {
             let (value, sigma) = (1e3 * time.value_s, 1e3 * time.sigma_s);

@@ -14,7 +14,7 @@ use crate::histogram::{Histogram, ResidualStats};
 use crate::linear::Six;
 use crate::luma::sample;
 use crate::pair::{ColorRow, PairSums, Sums};
-use crate::views::{DirectedFrame, Point, PreparedFrame, Surface, pixel_point, sigma_along_normal};
+use crate::views::{DirectedFrame, Point, Surface, by_focal_of, pixel_point, sigma_along_normal};
 use glamx::{DMat3, DPose3, DVec3};
 use sms_core::Intrinsics;
 
@@ -50,16 +50,16 @@ pub(crate) fn depth_residual(p: DVec3, q: DVec3, n: DVec3) -> LinearResidual {
 /// `shift` is the shift of the colour against the depth, pixels at loaded size. Also returns the slope along the image.
 pub(crate) fn color_residual(
     p: DVec3,
-    view: &PreparedFrame,
+    view: DirectedFrame<'_>,
     level: usize,
     shift: [f64; 2],
     expected: f64,
 ) -> Option<(LinearResidual, [f64; 2])> {
     let k = &view.intrinsics;
-    let scale = 1.0 / view.scale(level);
+    let scale = 1.0 / view.frame.scale(level);
     let (x, y) = (p.x / p.z, p.y / p.z);
     let (value, du, dv) = sample(
-        &view.luma[level],
+        &view.frame.luma[level],
         (k.fx * x + k.cx + shift[0]) * scale,
         (k.fy * y + k.cy + shift[1]) * scale,
     )?;
@@ -231,7 +231,7 @@ pub(crate) fn linearise(
     let (x_wi, x_wj, brightness) = (&poses[arc.from], &poses[arc.to], arc.brightness);
     let x_ji = x_wj.inverse() * *x_wi;
     let center = x_wj.inverse_transform_point(center_w);
-    let k_j = &view_j.frame.intrinsics;
+    let k_j = &view_j.intrinsics;
     let turn = DMat3::from_quat(x_ji.rotation);
     let mut sums = Sums::new(phase);
     let mut seen = ResidualStats::default();
@@ -249,13 +249,14 @@ pub(crate) fn linearise(
             seen.depth_mm.add(1e3 * r.residual.abs());
             let weight = tukey(e, weighing.depth_scale) / (sigma * weighing.depth_scale).powi(2);
             if weight > 0.0 {
-                sums.add_depth(&r.jacobian(p, center), r.residual, weight);
+                let by_focal = n.dot(turn * by_focal_of(point.p_c) - by_focal_of(q));
+                sums.add_depth(&r.jacobian(p, center), by_focal, r.residual, weight);
             }
         }
         // Without a direction of the surface, the derivatives of both images cannot be compared.
         if config.use_color && point.textured && met.faces {
             let expected = brightness.expected(point.luma);
-            let Some((r, slope)) = color_residual(p, view_j.frame, level, color_shift, expected) else {
+            let Some((r, slope)) = color_residual(p, view_j, level, color_shift, expected) else {
                 return;
             };
             let sigma = length(config.color_sigma, config.color_slip_px * length(slope[0], slope[1]));
@@ -301,11 +302,14 @@ impl Gradients<'_> {
         let of_i = *self.turn * point.luma_by_p * gain;
         let pixel_j = [p.z / self.k_j.fx, p.z / self.k_j.fy];
         let [gain_column, offset_column] = Brightness::columns(point.luma);
+        // The point moves with the focal length, and so does the one that frame j sees at a pixel.
+        let parted = *self.turn * by_focal_of(point.p_c) - by_focal_of(p);
         let row = |in_j: DVec3, in_i: DVec3| -> ColorRow {
             let in_i = self.turn.transpose() * in_i;
             let by_shift = |k: usize| in_j[k] * pixel_j[k] - in_i[k] * point.pixel_m[k];
             let [a, b, c, d, e, f] = lever(p - center, in_j);
-            [a, b, c, d, e, f, gain_column, offset_column, by_shift(0), by_shift(1)]
+            let by_focal = in_j.dot(parted);
+            [a, b, c, d, e, f, gain_column, offset_column, by_shift(0), by_shift(1), by_focal]
         };
         let of_j = by_j.by_point;
         Some((row(converted(of_i, p)?, of_i), row(of_j, converted(of_j, ray_i)?)))
@@ -316,7 +320,7 @@ impl Gradients<'_> {
 mod tests {
     use super::*;
     use crate::align::moved_about;
-    use crate::views::{Blocks, DepthSample, Direction};
+    use crate::views::{Blocks, DepthSample, Direction, PreparedFrame};
     use proptest::prelude::*;
     use sms_core::Image;
 
@@ -393,17 +397,37 @@ mod tests {
             agree(found, of_i, 1.0)?;
             agree(found, of_j, -1.0)?;
 
+            // A longer focal length moves the point of frame i, and what frame j sees at a pixel.
+            let (e, k_i) = (1e-6, view.intrinsics);
+            let turn = DMat3::from_quat((x_wj.inverse() * x_wi).rotation);
+            let with_focal = |p: DVec3, log: f64| DVec3::new(p.x * f64::exp(-log), p.y * f64::exp(-log), p.z);
+            let of_focal = |log: f64| {
+                let p = (x_wj.inverse() * x_wi).transform_point(with_focal(p_i, log));
+                depth_residual(p, with_focal(q, log), n).residual
+            };
+            let found = n.dot(turn * by_focal_of(p_i) - by_focal_of(q));
+            let expected = (of_focal(e) - of_focal(-e)) / (2.0 * e);
+            prop_assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+
             // The interpolation is a polynomial only within a cell.
-            let k = view.intrinsics;
+            let k = k_i;
             let inside = |x: f64| (x - 0.5).rem_euclid(1.0) > 1e-3 && (x - 0.5).rem_euclid(1.0) < 1.0 - 1e-3;
             prop_assume!(inside(k.fx * p.x / p.z + k.cx + 0.3) && inside(k.fy * p.y / p.z + k.cy - 0.2));
-            let color = |p| color_residual(p, &view, 0, [0.3, -0.2], 100.0);
+            let color = |p| color_residual(p, view.alone(), 0, [0.3, -0.2], 100.0);
             prop_assume!(color(p).is_some());
             let found = in_world_axes(r_wj, color(p).unwrap().0.jacobian(p, center));
             let (of_i, of_j) =
                 by_differences(x_wi, x_wj, |i, j| color(carried(i, j)).map_or(f64::NAN, |r| r.0.residual));
             agree(found, of_i, 1.0)?;
             agree(found, of_j, -1.0)?;
+            let of_focal = |log: f64| {
+                let p = (x_wj.inverse() * x_wi).transform_point(with_focal(p_i, log));
+                let view = view.alone().with_focal(log);
+                color_residual(p, view, 0, [0.3, -0.2], 100.0).map_or(f64::NAN, |r| r.0.residual)
+            };
+            let found = color(p).unwrap().0.by_point.dot(turn * by_focal_of(p_i) - by_focal_of(p));
+            let expected = (of_focal(e) - of_focal(-e)) / (2.0 * e);
+            prop_assert!((found - expected).abs() < 1e-5 * (1.0 + expected.abs()), "{found} {expected}");
         }
     }
 }

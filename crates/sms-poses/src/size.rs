@@ -5,8 +5,8 @@
 
 use crate::align::lever;
 use crate::covariance::Covariance;
-use crate::linear::{COMMON, Row};
-use crate::views::Point;
+use crate::linear::{COMMON, FOCAL, Row};
+use crate::views::{Point, by_focal_of};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -93,7 +93,7 @@ fn scale_row(poses: &[DPose3], center_w: DVec3) -> Row {
     Row { frames: poses.iter().enumerate().map(of).collect(), common: [0.0; COMMON] }
 }
 
-/// The distance between the faces across a direction, as a function of the corrections, and its value; `None` unless both
+/// The distance between the faces across a direction, as a function of the corrections and of the focal length, and its value; `None` unless both
 /// sides were seen.
 fn extent_row(
     direction_w: DVec3,
@@ -104,6 +104,7 @@ fn extent_row(
     // Points on each side: their number, and the sum of their positions along the direction.
     let (mut counts, mut sums) = ([0usize; 2], [0.0; 2]);
     let mut sides: Vec<[[f64; 6]; 2]> = vec![[[0.0; 6]; 2]; poses.len()];
+    let mut by_focal = [0.0; 2];
     for ((x, points), own) in poses.iter().zip(points).zip(&mut sides) {
         for point in points {
             let cosine = (x.rotation * point.n_c).dot(direction_w);
@@ -114,6 +115,7 @@ fn extent_row(
             let p_w = x.transform_point(point.p_c);
             let by = lever(p_w - center_w, direction_w);
             (0..6).for_each(|a| own[side][a] += by[a]);
+            by_focal[side] += (x.rotation * by_focal_of(point.p_c)).dot(direction_w);
             counts[side] += 1;
             sums[side] += p_w.dot(direction_w);
         }
@@ -128,5 +130,7 @@ fn extent_row(
         .enumerate()
         .map(|(i, own)| (i, std::array::from_fn(|a| own[1][a] / high - own[0][a] / low)));
     let distance_m = (sums[1] / high - sums[0] / low).abs();
-    Some((Row { frames: frames.collect(), common: [0.0; COMMON] }, distance_m))
+    let mut common = [0.0; COMMON];
+    common[FOCAL] = by_focal[1] / high - by_focal[0] / low;
+    Some((Row { frames: frames.collect(), common }, distance_m))
 }

@@ -101,10 +101,11 @@ pub(crate) struct PreparedFrame {
     pub(crate) finest_scale: f64,
 }
 
-/// A frame with surface directions from elsewhere, or with its own.
+/// A frame with intrinsics and surface directions from elsewhere, or with its own.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DirectedFrame<'a> {
     pub(crate) frame: &'a PreparedFrame,
+    pub(crate) intrinsics: Intrinsics,
     pub(crate) directions: &'a [Direction],
 }
 
@@ -169,28 +170,27 @@ impl PreparedFrame {
         self.finest_scale * 2f64.powi(level as i32)
     }
 
-    /// Returns the pixel at the projection of a point in the camera; `None` outside the image.
-    pub(crate) fn pixel_of(&self, p_c: DVec3) -> Option<(usize, usize)> {
-        let k = &self.intrinsics;
-        let (u, v) = (k.fx * p_c.x / p_c.z + k.cx, k.fy * p_c.y / p_c.z + k.cy);
-        let is_inside = p_c.z > 1e-3 && u >= 0.0 && v >= 0.0 && u < k.width as f64 && v < k.height as f64;
-        is_inside.then_some((u as usize, v as usize))
-    }
-
     /// Returns the frame with the directions that it shows alone.
     pub(crate) fn alone(&self) -> DirectedFrame<'_> {
-        DirectedFrame { frame: self, directions: &self.directions }
+        DirectedFrame { frame: self, intrinsics: self.intrinsics, directions: &self.directions }
     }
 }
 
 impl DirectedFrame<'_> {
+    /// Returns the frame with a focal length that is changed by the factor exp(`log`).
+    pub(crate) fn with_focal(mut self, log: f64) -> Self {
+        self.intrinsics.fx *= log.exp();
+        self.intrinsics.fy *= log.exp();
+        self
+    }
+
     /// Returns the surfaces at the projections of points.
     ///
     /// Each of the three loops is short, so that the processor waits for many places in memory at once.
     pub(crate) fn surfaces<const N: usize>(&self, points_c: &[DVec3; N]) -> [Surface; N] {
         let width = self.frame.intrinsics.width;
         let mut surfaces =
-            points_c.map(|p_c| Surface { pixel: self.frame.pixel_of(p_c), ..Surface::default() });
+            points_c.map(|p_c| Surface { pixel: pixel_of(&self.intrinsics, p_c), ..Surface::default() });
         for surface in &mut surfaces {
             let depth = surface.pixel.map(|(x, y)| self.frame.depth[y * width + x]);
             surface.depth = depth.unwrap_or_default();
@@ -212,7 +212,7 @@ impl DirectedFrame<'_> {
         color_shift: [f64; 2],
         config: &PosesConfig,
     ) -> Vec<Point> {
-        let (k, luma) = (&self.frame.intrinsics, &self.frame.luma[level]);
+        let (k, luma) = (&self.intrinsics, &self.frame.luma[level]);
         let scale = self.frame.scale(level);
         let step = (stride * scale).max(1.0);
         let at = |n: usize, o: f64| {
@@ -279,6 +279,18 @@ fn set_sigmas(all: &mut [DepthSample], k: &Intrinsics, noise: &DepthNoise, reach
     };
     let sigmas: Vec<f32> = (0..all.len()).map(|i| if all[i].z > 0.0 { sigma(i) } else { 0.0 }).collect();
     all.iter_mut().zip(sigmas).for_each(|(s, sigma)| s.sigma_z_m = sigma);
+}
+
+/// Returns the pixel at the projection of a point in the camera; `None` outside the image.
+pub(crate) fn pixel_of(k: &Intrinsics, p_c: DVec3) -> Option<(usize, usize)> {
+    let (u, v) = (k.fx * p_c.x / p_c.z + k.cx, k.fy * p_c.y / p_c.z + k.cy);
+    let is_inside = p_c.z > 1e-3 && u >= 0.0 && v >= 0.0 && u < k.width as f64 && v < k.height as f64;
+    is_inside.then_some((u as usize, v as usize))
+}
+
+/// Returns the derivative of the point that a pixel with depth shows with respect to the logarithm of the focal length.
+pub(crate) fn by_focal_of(p_c: DVec3) -> DVec3 {
+    DVec3::new(-p_c.x, -p_c.y, 0.0)
 }
 
 /// Returns the point at the centre of a pixel with depth `z`, in the camera.

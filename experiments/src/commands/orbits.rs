@@ -16,7 +16,7 @@ pub(crate) struct OrbitsArguments {
     /// Only these scenes: desk, box.
     #[arg(long, value_name = "SCENES", value_delimiter = ',')]
     pub scenes: Vec<String>,
-    /// Only these faults: exact, independent, hand_eye, drift, color_shift, all.
+    /// Only these faults: exact, independent, hand_eye, drift, color_shift, focal, all.
     #[arg(long, value_name = "FAULTS", value_delimiter = ',')]
     pub faults: Vec<String>,
     /// File for the figures (JSON).

@@ -22,14 +22,23 @@ pub enum PoseFault {
     Drift,
     /// The colour lies 3 pixels beside the depth.
     ColorShift,
-    /// All of them.
+    /// The recorded focal length is 1.5 % too long.
+    Focal,
+    /// All of them but the wrong focal length.
     All,
 }
 
 impl PoseFault {
     /// All kinds, in the order of the table.
-    pub const ALL: [Self; 6] =
-        [Self::Exact, Self::Independent, Self::HandEye, Self::Drift, Self::ColorShift, Self::All];
+    pub const ALL: [Self; 7] = [
+        Self::Exact,
+        Self::Independent,
+        Self::HandEye,
+        Self::Drift,
+        Self::ColorShift,
+        Self::Focal,
+        Self::All,
+    ];
 
     /// The word in tables and keys.
     pub fn as_str(self) -> &'static str {
@@ -39,12 +48,13 @@ impl PoseFault {
             Self::HandEye => "hand_eye",
             Self::Drift => "drift",
             Self::ColorShift => "color_shift",
+            Self::Focal => "focal",
             Self::All => "all",
         }
     }
 
     fn has(self, part: Self) -> bool {
-        self == part || self == Self::All
+        self == part || (self == Self::All && part != Self::Focal)
     }
 
     /// The errors that are not drawn anew for each frame.
@@ -65,6 +75,12 @@ impl PoseFault {
         if self.has(Self::ColorShift) {
             sequence.frames.iter_mut().for_each(|f| f.color = shifted(&f.color, COLOR_SHIFT_PX));
         }
+        if self.has(Self::Focal) {
+            for frame in &mut sequence.frames {
+                frame.camera.intrinsics.fx *= FOCAL_FACTOR;
+                frame.camera.intrinsics.fy *= FOCAL_FACTOR;
+            }
+        }
         let mut poses: Vec<DPose3> = self.lasting().applied(&poses_of(&sequence), seed);
         if self.has(Self::Independent) {
             let mut rng = seed.derive("independent").rng();
@@ -76,6 +92,9 @@ impl PoseFault {
         sequence
     }
 }
+
+/// Factor of a wrong focal length.
+const FOCAL_FACTOR: f64 = 1.015;
 
 /// Shift of the colour to the right, pixels.
 const COLOR_SHIFT_PX: i64 = 3;

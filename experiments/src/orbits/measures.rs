@@ -37,18 +37,17 @@ pub fn center_scale(poses: &[DPose3], truth: &[DPose3]) -> f64 {
     along / square.max(1e-12)
 }
 
-/// Fuses the measured points of each upright face of the box with these poses and compares the distances between
+/// Fuses the measured points of each upright face of the box with these cameras and compares the distances between
 /// opposite faces with the true extents. The points of a face are known by the truth, so that only poses and noise count.
-pub fn box_errors(orbit: &Orbit, poses: &[DPose3]) -> BoxErrors {
+pub fn box_errors(orbit: &Orbit, cameras: &[Camera]) -> BoxErrors {
     let extents = orbit.kind.extents_m();
     let half = 0.5 * extents;
     // Points of each face: across x, across y; low, high.
     let mut faces: [[Vec<DVec3>; 2]; 2] = Default::default();
     let (mut all, mut all_true) = (Vec::new(), Vec::new());
-    for ((frame, x_wc), (true_depth, labels)) in
-        orbit.sequence.frames.iter().zip(poses).zip(orbit.true_depth.iter().zip(&orbit.labels))
+    for ((frame, camera), (true_depth, labels)) in
+        orbit.sequence.frames.iter().zip(cameras).zip(orbit.true_depth.iter().zip(&orbit.labels))
     {
-        let moved = Camera { x_wc: *x_wc, ..frame.camera };
         for y in (0..true_depth.height).step_by(2) {
             for x in (0..true_depth.width).step_by(2) {
                 let (measured, z) = (f64::from(frame.depth[(x, y)]), f64::from(true_depth[(x, y)]));
@@ -56,7 +55,7 @@ pub fn box_errors(orbit: &Orbit, poses: &[DPose3]) -> BoxErrors {
                     continue;
                 }
                 let true_w = frame.camera.unproject_pixel(x, y, z);
-                let p_w = moved.unproject_pixel(x, y, measured);
+                let p_w = camera.unproject_pixel(x, y, measured);
                 if (x + y) % 8 == 0 {
                     all.push(p_w);
                     all_true.push(true_w);
@@ -86,12 +85,11 @@ pub fn box_errors(orbit: &Orbit, poses: &[DPose3]) -> BoxErrors {
 const CELL_M: f64 = 0.01;
 const LEAST_IN_CELL: usize = 20;
 
-/// Fuses the measurements of all frames with these poses in small cells of the true surface, and returns the distance of their means
+/// Fuses the measurements of all frames with these cameras in small cells of the true surface, and returns the distance of their means
 /// from it: root mean square over the cells, after the rigid motion that fits best.
-pub(super) fn surface_error_m(orbit: &Orbit, poses: &[DPose3]) -> f64 {
+pub(super) fn surface_error_m(orbit: &Orbit, cameras: &[Camera]) -> f64 {
     let mut points: Vec<(DVec3, DVec3, DVec3)> = Vec::new();
-    for ((frame, x_wc), true_depth) in orbit.sequence.frames.iter().zip(poses).zip(&orbit.true_depth) {
-        let moved = Camera { x_wc: *x_wc, ..frame.camera };
+    for ((frame, camera), true_depth) in orbit.sequence.frames.iter().zip(cameras).zip(&orbit.true_depth) {
         let k = &frame.camera.intrinsics;
         let normals = normals_from_depth(true_depth, k, &DepthNoise { a_m: 1e-4, b_per_m: 1e-4 }, 2);
         for y in (0..true_depth.height).step_by(2) {
@@ -101,7 +99,7 @@ pub(super) fn surface_error_m(orbit: &Orbit, poses: &[DPose3]) -> f64 {
                 if measured > 0.0 && z > 0.0 && (measured - z).abs() < 0.05 * z && normal_c != DVec3::ZERO {
                     let true_w = frame.camera.unproject_pixel(x, y, z);
                     let normal_w = frame.camera.x_wc.rotation * normal_c;
-                    points.push((moved.unproject_pixel(x, y, measured), true_w, normal_w));
+                    points.push((camera.unproject_pixel(x, y, measured), true_w, normal_w));
                 }
             }
         }
@@ -125,25 +123,28 @@ pub(super) fn surface_error_m(orbit: &Orbit, poses: &[DPose3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::orbits::{OrbitKind, poses_of};
+    use crate::orbits::{OrbitKind, cameras_of, poses_of};
     use sms_core::Seed;
 
     #[test]
     fn true_poses_have_no_errors_but_noise_and_enlarged_ones_have_that_of_their_scale() {
         let orbit = Orbit::record(OrbitKind::Desk, Seed(1));
-        let truth = poses_of(&orbit.sequence);
-        assert!((center_scale(&truth, &truth) - 1.0).abs() < 1e-12);
+        let truth = cameras_of(&orbit.sequence);
+        let poses = poses_of(&orbit.sequence);
+        assert!((center_scale(&poses, &poses) - 1.0).abs() < 1e-12);
         let exact = box_errors(&orbit, &truth);
         assert!(exact.width_m.abs() < 5e-4 && exact.depth_m.abs() < 5e-4, "{exact:?}");
         // Every camera one millimetre further from the middle: both faces of a pair move outwards.
-        let outwards = |x: &DPose3| {
+        let outwards = |camera: &Camera| {
+            let x = camera.x_wc;
             let out = x.translation.with_z(0.0).normalize();
-            DPose3::from_parts(x.translation + 1e-3 * out, x.rotation)
+            Camera { x_wc: DPose3::from_parts(x.translation + 1e-3 * out, x.rotation), ..*camera }
         };
-        let moved: Vec<DPose3> = truth.iter().map(outwards).collect();
-        assert!(center_scale(&moved, &truth) > 1.0008);
+        let moved: Vec<Camera> = truth.iter().map(outwards).collect();
+        let moved_poses: Vec<DPose3> = moved.iter().map(|camera| camera.x_wc).collect();
+        assert!(center_scale(&moved_poses, &poses) > 1.0008);
         let found = box_errors(&orbit, &moved);
-        let surfaces = [&truth, &moved].map(|poses| surface_error_m(&orbit, poses));
+        let surfaces = [&truth, &moved].map(|cameras| surface_error_m(&orbit, cameras));
         assert!(surfaces[0] < 6e-4 && surfaces[1] > 1.2 * surfaces[0], "{surfaces:?}");
         let larger = [found.width_m - exact.width_m, found.depth_m - exact.depth_m];
         assert!(larger.iter().all(|e| (0.0012..0.0021).contains(e)), "{larger:?}");

@@ -14,7 +14,7 @@ pub use table::{OrbitRow, Sigmas, orbit_metrics, orbit_table};
 
 use crate::BenchError;
 use glamx::DPose3;
-use sms_core::{Seed, StageContext};
+use sms_core::{Camera, Seed, StageContext};
 use sms_frames::Sequence;
 use sms_poses::{PoseVerdict, PosesConfig, PosesMode, refine_poses};
 use std::time::Instant;
@@ -35,20 +35,25 @@ pub fn refine_orbit(
     let began = Instant::now();
     let refined = refine_poses(&given, &PosesConfig { mode: PosesMode::Refine, ..config.clone() }, context)?;
     let seconds = began.elapsed().as_secs_f64();
-    let refined_poses = poses_of(&refined.sequence);
+    let (refined_poses, refined_cameras) = (poses_of(&refined.sequence), cameras_of(&refined.sequence));
     Ok(OrbitRow {
         orbit: orbit.kind,
         fault,
         scale: center_scale(&refined_poses, &poses_of(&orbit.sequence)),
-        faces_before: box_errors(orbit, &poses_of(&given)),
-        faces: box_errors(orbit, &refined_poses),
-        surface_m: surface_error_m(orbit, &refined_poses),
-        surface_true_m: surface_error_m(orbit, &poses_of(&orbit.sequence)),
+        faces_before: box_errors(orbit, &cameras_of(&given)),
+        faces: box_errors(orbit, &refined_cameras),
+        surface_m: surface_error_m(orbit, &refined_cameras),
+        surface_true_m: surface_error_m(orbit, &cameras_of(&orbit.sequence)),
         is_improved: refined.report.verdict == PoseVerdict::Refined && refined.report.judgement.improved(),
         is_refused: refined.report.common_mode.is_some_and(|mode| !mode.is_allowed()),
         sigmas: refined.report.size.as_ref().map(Sigmas::of).unwrap_or_default(),
         seconds,
     })
+}
+
+/// Returns the cameras of the frames.
+pub(crate) fn cameras_of(sequence: &Sequence) -> Vec<Camera> {
+    sequence.frames.iter().map(|f| f.camera).collect()
 }
 
 /// Returns the poses `X_WC` of the frames.

@@ -4,7 +4,7 @@ use super::features::{Feature, features};
 use crate::PosesConfig;
 use crate::align::{lever, moved_about};
 use crate::floor::PairForm;
-use crate::linear::{Block, Six};
+use crate::linear::{Block, CAMERA, Six};
 use crate::residual::{
     Arc, Brightness, LinearisationPoint, Phase, Weighing, for_each_landing, linearise, meeting,
 };
@@ -133,8 +133,8 @@ pub(super) fn register(
             seen.merge(&sums[1].seen);
             *weighing = weighing.after(&seen, sigma_z_m);
             let of = |k: usize| {
-                let (h, g, shift) = sums[k].reduced();
-                PairForm { h, g, shift }
+                let (h, g, camera) = sums[k].reduced();
+                PairForm { h, g, camera }
             };
             (of(0).with_reverse(&of(1)), sums)
         };
@@ -146,7 +146,8 @@ pub(super) fn register(
             let mut step = form.g.map(|v| -v);
             damped(&form.h, a.arm_m)?.solve(&mut step);
             for (k, sign) in [1.0, -1.0].into_iter().enumerate() {
-                brightness[k] = sums[k].brightness_after(&step.map(|v| sign * v), [0.0; 2], brightness[k]);
+                brightness[k] =
+                    sums[k].brightness_after(&step.map(|v| sign * v), &[0.0; CAMERA], brightness[k]);
             }
             let moved = moved_about(center_a, &step.map(|v| -v)) * x_ab;
             x_ab = DPose3::from_parts(moved.translation, moved.rotation.normalize());

@@ -169,3 +169,26 @@ fn poses_of_another_time_are_told_from_noise_and_from_the_mount() {
     let untimed = refine(&billiards(1, 12), PosesMode::Refine).report;
     assert_eq!(untimed.time_offset, None);
 }
+
+#[test]
+fn a_wrong_focal_length_is_found_and_a_right_one_is_kept() {
+    let truth = billiards(2, 30);
+    for wrong in [1.0, 1.02] {
+        let mut given = disturbed(&truth, 0.001, 0.05);
+        for frame in &mut given.frames {
+            frame.camera.intrinsics.fx *= wrong;
+            frame.camera.intrinsics.fy *= wrong;
+        }
+        let refined = refine(&given, PosesMode::Refine);
+        let focal = refined.report.focal.unwrap();
+        eprintln!("{wrong}: {focal:?}");
+        let intrinsics = |s: &Sequence| s.frames[0].camera.intrinsics.fx;
+        if wrong == 1.0 {
+            assert_eq!(focal.share, 0.0, "{focal:?}");
+            assert_eq!(intrinsics(&refined.sequence), intrinsics(&truth));
+        } else {
+            let left = intrinsics(&refined.sequence) / intrinsics(&truth) - 1.0;
+            assert!(left.abs() < 0.003, "{left} {focal:?}");
+        }
+    }
+}
