@@ -5,7 +5,7 @@ use crate::Error;
 use sms_core::metrics::Metrics;
 use sms_core::{InputError, StageContext};
 use sms_frames::{DepthNoise, LoadSettings, Recording, Sequence, Severity, check, load};
-use sms_poses::{PoseReport, PosesConfig, PosesMode, refine_poses};
+use sms_poses::{PoseOrigin, PoseReport, PosesConfig, PosesMode, refine_poses};
 use std::time::Instant;
 
 /// Settings of [`frames`].
@@ -45,26 +45,46 @@ pub fn frames(
         return Err(recording.without_poses().into());
     }
     let checked = checked(recording, request.accept_faults, context)?;
-    let estimated = must_estimate
-        .then(|| with_estimated_poses(recording, &request.load, &request.poses, context))
-        .transpose()?;
-    let sequence = match &estimated {
-        // The frames were selected before.
-        Some(EstimatedPoses { recording: posed, .. }) => {
-            let all = LoadSettings { first: 0, stride: 1, max_frames: 0, ..request.load.clone() };
-            load(posed, &all, context)?
-        }
-        None => load(recording, &request.load, context)?,
-    };
-    let mut frames = refined(sequence, request, context)?;
+    let posed = posed_frames(recording, &request.load, &request.poses, must_estimate, context)?;
+    let mut frames = refined(posed.sequence, request, context)?;
     frames.metrics.merge(checked);
-    if let Some(EstimatedPoses { origin, metrics, .. }) = estimated {
-        frames.metrics.merge(metrics);
-        if let Some(report) = &mut frames.poses {
-            report.origin = origin;
-        }
+    frames.metrics.merge(posed.metrics);
+    if let Some(report) = &mut frames.poses {
+        report.origin = posed.origin;
     }
     Ok(frames)
+}
+
+/// Frames with the poses that a refinement begins with.
+pub(super) struct PosedFrames {
+    /// The frames.
+    pub(super) sequence: Sequence,
+    /// World of the poses.
+    pub(super) origin: PoseOrigin,
+    /// Metrics `poses.*` of the estimate; none for recorded poses.
+    pub(super) metrics: Metrics,
+}
+
+/// Loads the selected frames of a recording with its poses, or with poses that are estimated from the images.
+///
+/// # Errors
+/// As [`load`] and [`with_estimated_poses`].
+pub(super) fn posed_frames(
+    recording: &Recording,
+    settings: &LoadSettings,
+    config: &PosesConfig,
+    must_estimate: bool,
+    context: StageContext<'_>,
+) -> Result<PosedFrames, Error> {
+    if !must_estimate {
+        let sequence = load(recording, settings, context)?;
+        return Ok(PosedFrames { sequence, origin: PoseOrigin::Recorded, metrics: Metrics::new() });
+    }
+    let EstimatedPoses { recording, origin, metrics } =
+        with_estimated_poses(recording, settings, config, context)?;
+    // The frames were selected before.
+    let all = LoadSettings { first: 0, stride: 1, max_frames: 0, ..settings.clone() };
+    Ok(PosedFrames { sequence: load(&recording, &all, context)?, origin, metrics })
 }
 
 /// Refines the poses of loaded frames, unless the mode is `given`, and gives the frames the depth noise that they show.

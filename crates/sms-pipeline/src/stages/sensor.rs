@@ -1,10 +1,10 @@
 //! Recording → errors of its depth, colour and poses.
 
-use super::tracking::with_estimated_poses;
+use super::frames::posed_frames;
 use crate::Error;
 use sms_core::StageContext;
-use sms_frames::{LoadSettings, Recording, load};
-use sms_poses::{PoseOrigin, PoseReport, PosesConfig, PosesMode, refine_poses};
+use sms_frames::{LoadSettings, Recording};
+use sms_poses::{PoseReport, PosesConfig, PosesMode, refine_poses};
 
 /// Frames that are examined: consecutive ones from the middle of the recording.
 const EXAMINED: usize = 24;
@@ -22,13 +22,7 @@ pub fn sensor(
 ) -> Result<PoseReport, Error> {
     let first = recording.frames.len().saturating_sub(EXAMINED) / 2;
     let some = LoadSettings { first, stride: 1, max_frames: EXAMINED, ..settings.clone() };
-    let (sequence, origin) = if recording.has_poses {
-        (load(recording, &some, context)?, PoseOrigin::Recorded)
-    } else {
-        let posed = with_estimated_poses(recording, &some, config, context)?;
-        let all = LoadSettings { first: 0, max_frames: 0, ..some };
-        (load(&posed.recording, &all, context)?, posed.origin)
-    };
+    let posed = posed_frames(recording, &some, config, !recording.has_poses, context)?;
     let config = PosesConfig { mode: PosesMode::Refine, ..config.clone() };
-    Ok(PoseReport { origin, ..refine_poses(&sequence, &config, context)?.report })
+    Ok(PoseReport { origin: posed.origin, ..refine_poses(&posed.sequence, &config, context)?.report })
 }
