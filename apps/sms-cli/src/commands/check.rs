@@ -4,8 +4,8 @@ use crate::cli::CheckArguments;
 use sms_cli::front::Console;
 use sms_core::{Seed, Warnings};
 use sms_frames::{CheckReport, LoadSettings, ReadOptions, Recording, check};
-use sms_pipeline::stages::sensor;
-use sms_poses::{PoseReport, PosesConfig};
+use sms_pipeline::stages::{SensorErrors, sensor};
+use sms_poses::PosesConfig;
 use std::process::ExitCode;
 
 pub(crate) fn run(console: &Console, a: &CheckArguments) -> anyhow::Result<ExitCode> {
@@ -26,7 +26,7 @@ pub(crate) fn run(console: &Console, a: &CheckArguments) -> anyhow::Result<ExitC
     if console.json {
         let mut metrics = report.metrics();
         if let Some(Ok(sensor)) = &sensor {
-            metrics.merge(sensor.sensor_metrics());
+            metrics.merge(sensor.report.sensor_metrics());
         }
         metrics.set("check.approved", report.approved());
         metrics.set("check.findings", serde_json::to_value(&report.findings)?);
@@ -35,7 +35,7 @@ pub(crate) fn run(console: &Console, a: &CheckArguments) -> anyhow::Result<ExitC
         console.say(report.to_string());
         match &sensor {
             Some(Ok(sensor)) => {
-                for line in sensor_lines(sensor, &report, &load) {
+                for line in sensor_lines(sensor, &report) {
                     console.say(format!("  {line}"));
                 }
             }
@@ -47,11 +47,9 @@ pub(crate) fn run(console: &Console, a: &CheckArguments) -> anyhow::Result<ExitC
     Ok(if report.approved() { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
-fn sensor_lines(sensor: &PoseReport, report: &CheckReport, load: &LoadSettings) -> Vec<String> {
+fn sensor_lines(sensor: &SensorErrors, report: &CheckReport) -> Vec<String> {
     let [_, middle, far] = report.depth_range_m;
-    let long_side = report.color_size.0.max(report.color_size.1);
-    let loaded = if load.long_side == 0 { long_side } else { load.long_side.min(long_side) };
-    let lines = sensor.sensor_lines([middle, far], long_side as f64 / loaded.max(1) as f64);
+    let lines = sensor.report.sensor_lines([middle, far], sensor.pixel_scale);
     if lines.is_empty() {
         return vec!["errors of the sensor: not measurable, as too few frames overlap".to_owned()];
     }

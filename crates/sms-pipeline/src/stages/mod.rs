@@ -20,7 +20,7 @@ pub use gaussians::{GaussiansRequest, gaussians, trained_only};
 pub use landing::{LandingProblem, stuck_text};
 pub use masks::{ObjectMasks, masks};
 pub use scene::{SceneRequest, drift_text, scene};
-pub use sensor::sensor;
+pub use sensor::{SensorErrors, sensor};
 pub use strike::StrikeProblem;
 pub use tracking::{EstimatedPoses, with_estimated_poses};
 

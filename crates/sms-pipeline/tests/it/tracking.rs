@@ -48,10 +48,14 @@ fn poses_are_estimated_where_there_are_none() {
     // The errors of the recording follow from some of its frames.
     let as_recorded = LoadSettings { long_side: 0, ..load.clone() };
     let seen = sensor(&given, &as_recorded, &PosesConfig::default(), context).unwrap();
-    let sigma_m = seen.depth_noise.unwrap().sigma_m(0.7);
+    let sigma_m = seen.report.depth_noise.unwrap().sigma_m(0.7);
     let true_sigma_m = dense.sensor.depth.sigma_at(0.7);
     assert!((0.8..1.25).contains(&(sigma_m / true_sigma_m)), "{sigma_m} instead of {true_sigma_m}");
-    assert!(seen.color_shift_px.iter().all(|v| v.abs() < 1e-6), "{:?}", seen.color_shift_px);
+    let shift_px = seen.report.color_shift_px;
+    assert!(shift_px.iter().all(|v| v.abs() < 1e-6), "{shift_px:?}");
+    assert_eq!((seen.report.origin, seen.pixel_scale), (PoseOrigin::Recorded, 1.0));
+    let seen = sensor(&without, &load, &PosesConfig::default(), context).unwrap();
+    assert_eq!((seen.report.origin, seen.pixel_scale), (PoseOrigin::Estimated, 2.0));
 
     // Without poses in the files, there is no world that could be taken as it is.
     let path = dir.path().join("transforms.json");
