@@ -68,7 +68,7 @@ pub(crate) fn scene() -> Scene {
         version: SCENE_VERSION,
         name: "every <shape>".into(),
         gravity_w: DVec3::new(0.0, 0.0, -GRAVITY),
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: DPose3::identity(),
         bodies: vec![
             floor_body(0.0, example_material()),

@@ -12,7 +12,7 @@
 //!     version: SCENE_VERSION,
 //!     name: "empty desk".into(),
 //!     gravity_w: DVec3::new(0.0, 0.0, -9.81),
-//!     scale_sigma: 0.0,
+//!     size_sigma: 0.0,
 //!     x_world_recording: DPose3::identity(),
 //!     bodies: vec![floor_body(0.0, example_material())],
 //! };

@@ -185,7 +185,7 @@ mod tests {
             version: SCENE_VERSION,
             name: "empty".into(),
             gravity_w: DVec3::NEG_Z,
-            scale_sigma: 0.0,
+            size_sigma: 0.0,
             x_world_recording: glamx::DPose3::IDENTITY,
             bodies: Vec::new(),
         };

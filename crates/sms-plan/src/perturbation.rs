@@ -22,7 +22,7 @@ pub struct Perturbation {
     pub worlds: usize,
     /// Whether materials are sampled within their intervals.
     pub materials: bool,
-    /// Whether sizes and distances are scaled by a common factor, as uncertain as the scene states (its `scale_sigma`).
+    /// Whether sizes and distances are scaled by a common factor, as uncertain as the scene states (its `size_sigma`).
     pub scale: bool,
     /// Horizontal position error of balls that is common to all bodies (pose of the recording, pose of the
     /// robot), metres. Twice the standard error of the fit is added. With 0, there is neither
@@ -119,7 +119,7 @@ impl Perturbation {
                 all.push(Unknown::Radius { body: name() });
             }
         }
-        if self.scale && scene.scale_sigma > 0.0 {
+        if self.scale && scene.size_sigma > 0.0 {
             all.push(Unknown::Scale);
         }
         if self.contact_m > 0.0 || self.angle_rad > 0.0 || self.speed_share > 0.0 {
@@ -144,9 +144,9 @@ impl Perturbation {
     ) -> Scene {
         let seed = seed.derive_index("world", index as u64);
         let mut perturbed = scene.clone();
-        if self.scale && scene.scale_sigma > 0.0 && which(&Unknown::Scale) {
+        if self.scale && scene.size_sigma > 0.0 && which(&Unknown::Scale) {
             // The half width of a uniform distribution of this standard deviation.
-            let half = 3f64.sqrt() * scene.scale_sigma;
+            let half = 3f64.sqrt() * scene.size_sigma;
             perturbed = scene.scaled(1.0 + half * symmetric(&mut seed.derive("scale").rng()));
         }
         for (body, is_free) in perturbed.bodies.iter_mut().zip(self.free(scene)) {
@@ -332,7 +332,7 @@ mod tests {
             version: SCENE_VERSION,
             name: "test".into(),
             gravity_w: DVec3::new(0.0, 0.0, -9.81),
-            scale_sigma: 0.0,
+            size_sigma: 0.0,
             x_world_recording: DPose3::identity(),
             bodies: vec![floor_body(0.0, material), ball],
         }
@@ -396,7 +396,7 @@ mod tests {
         };
         scene.bodies.push(other);
         assert_eq!(exact.scene(&scene, Seed(5), 0), scene);
-        scene.scale_sigma = 0.01;
+        scene.size_sigma = 0.01;
         assert!(exact.unknowns(&scene).contains(&Unknown::Scale));
         let (count, mut squares) = (400, 0.0);
         for i in 0..count {

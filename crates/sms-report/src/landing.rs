@@ -339,7 +339,7 @@ mod tests {
             version: sms_scene::SCENE_VERSION,
             name: "table".into(),
             gravity_w: DVec3::NEG_Z * 9.81,
-            scale_sigma: 0.0,
+            size_sigma: 0.0,
             x_world_recording: DPose3::IDENTITY,
             bodies: vec![sms_scene::floor_body(0.0, sms_scene::example_material()), table],
         }

@@ -186,8 +186,8 @@ fn scan_cards(html: &mut String, input: &ReportInput<'_>) {
         let note =
             if exact.is_empty() { String::new() } else { format!("of these exact: {}", exact.join(", ")) };
         card(html, "Objects", &dynamic.count().to_string(), &note, "");
-        if scene.scale_sigma > 0.0 {
-            let value = format!("±{:.2} %", 100.0 * NINETY * scene.scale_sigma);
+        if scene.size_sigma > 0.0 {
+            let value = format!("±{:.2} %", 100.0 * NINETY * scene.size_sigma);
             card(html, "Size", &value, "90 % interval of sizes and distances, from the camera poses", "");
         }
     }
@@ -223,7 +223,7 @@ mod tests {
             version: 1,
             name: "t".into(),
             gravity_w: glamx::DVec3::NEG_Z * 9.81,
-            scale_sigma: 0.0,
+            size_sigma: 0.0,
             x_world_recording: glamx::DPose3::identity(),
             bodies: vec![sms_scene::Body {
                 kind: BodyKind::Dynamic,

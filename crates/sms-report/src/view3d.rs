@@ -168,7 +168,7 @@ mod tests {
             version: 1,
             name: "t".into(),
             gravity_w: DVec3::NEG_Z * 9.81,
-            scale_sigma: 0.0,
+            size_sigma: 0.0,
             x_world_recording: DPose3::IDENTITY,
             bodies,
         }

@@ -86,7 +86,7 @@ pub fn build_scene(
         version: SCENE_VERSION,
         name: name.to_owned(),
         gravity_w: DVec3::new(0.0, 0.0, -GRAVITY),
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording,
         bodies,
     })

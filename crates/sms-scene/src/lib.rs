@@ -10,7 +10,7 @@
 //!     version: sms_scene::SCENE_VERSION,
 //!     name: "empty desk".into(),
 //!     gravity_w: DVec3::new(0.0, 0.0, -9.81),
-//!     scale_sigma: 0.0,
+//!     size_sigma: 0.0,
 //!     x_world_recording: DPose3::identity(),
 //!     bodies: vec![floor_body(0.0, sms_scene::example_material())],
 //! };
@@ -27,4 +27,4 @@ pub use build::{BuildError, GRAVITY, build_scene, example_material, floor_body, 
 pub use manifest::{SceneError, hull_file, load_scene, save_scene, trimesh_file, visual_file, write_meshes};
 pub use scene::{Body, BodyKind, BodyShape, SCENE_VERSION, Scene};
 pub use schema::SCENE_SCHEMA;
-pub use validate::{MOST_SCALE_SIGMA, Problem};
+pub use validate::{MOST_SIZE_SIGMA, Problem};

@@ -46,7 +46,7 @@ struct ManifestFile<M> {
     gravity_w: DVec3,
     /// Missing in scenes of earlier versions.
     #[serde(default)]
-    scale_sigma: f64,
+    size_sigma: f64,
     x_world_recording: DPose3,
     bodies: Vec<BodyEntry<M>>,
 }
@@ -174,7 +174,7 @@ pub fn save_scene(dir: &Path, scene: &Scene) -> Result<(), SceneError> {
         name: scene.name.clone(),
         units: "metre, kilogram, second, radian; world z up".into(),
         gravity_w: scene.gravity_w,
-        scale_sigma: scene.scale_sigma,
+        size_sigma: scene.size_sigma,
         x_world_recording: scene.x_world_recording,
         bodies: scene.bodies.iter().map(entry).collect(),
     };
@@ -253,7 +253,7 @@ pub fn load_scene(dir: &Path) -> Result<Scene, SceneError> {
         version: file.version,
         name: file.name,
         gravity_w: file.gravity_w,
-        scale_sigma: file.scale_sigma,
+        size_sigma: file.size_sigma,
         x_world_recording: file.x_world_recording,
         bodies,
     };
@@ -290,13 +290,13 @@ mod tests {
             version: SCENE_VERSION,
             name: "t".into(),
             gravity_w: DVec3::new(0.0, 0.0, -9.81),
-            scale_sigma: 0.003,
+            size_sigma: 0.003,
             x_world_recording: DPose3::from_translation(DVec3::X),
             bodies: vec![floor_body(0.01, example_material()), body],
         };
         save_scene(dir.path(), &scene).unwrap();
         let back = load_scene(dir.path()).unwrap();
-        assert_eq!((&back.bodies[0], back.scale_sigma), (&scene.bodies[0], 0.003));
+        assert_eq!((&back.bodies[0], back.size_sigma), (&scene.bodies[0], 0.003));
         let (a, b) = (&back.bodies[1], &scene.bodies[1]);
         assert_eq!((a.x_wb, a.mass, &a.material), (b.x_wb, b.mass, &b.material));
         assert!(a.visual.vertices.iter().zip(&b.visual.vertices).all(|(p, q)| (*p - *q).length() < 1e-9));
@@ -322,7 +322,7 @@ mod tests {
             version: SCENE_VERSION,
             name: "t".into(),
             gravity_w: DVec3::NEG_Z,
-            scale_sigma: 0.0,
+            size_sigma: 0.0,
             x_world_recording: DPose3::identity(),
             bodies: vec![floor_body(0.0, example_material()), body],
         };
@@ -363,7 +363,7 @@ mod tests {
             version: SCENE_VERSION,
             name: "t".into(),
             gravity_w: DVec3::NEG_Z,
-            scale_sigma: 0.0,
+            size_sigma: 0.0,
             x_world_recording: DPose3::identity(),
             bodies: vec![floor_body(0.0, example_material()), floor_body(0.0, example_material())],
         };

@@ -18,7 +18,7 @@ pub struct Scene {
     pub gravity_w: DVec3,
     /// Standard deviation of sizes and distances, as a share, from the uncertainty of the camera poses: of the scale of the camera
     /// positions, or of the least certain distance between opposite faces. 0 if unknown.
-    pub scale_sigma: f64,
+    pub size_sigma: f64,
     /// `X_world_recording` of the scan this came from.
     pub x_world_recording: DPose3,
     /// The bodies; names are unique.

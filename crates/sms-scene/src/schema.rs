@@ -104,7 +104,7 @@ mod tests {
             version: SCENE_VERSION,
             name: "t".into(),
             gravity_w: DVec3::NEG_Z * 9.81,
-            scale_sigma: 0.002,
+            size_sigma: 0.002,
             x_world_recording: DPose3::identity(),
             bodies,
         };

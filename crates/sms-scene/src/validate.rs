@@ -10,8 +10,8 @@ pub(crate) const MAX_HULL_VERTICES: usize = 64;
 /// Minimum mean thickness of a hull in metres (twice its volume over its area). Flatter ones have no stable contact
 /// normal, and engines refuse them.
 pub(crate) const MIN_HULL_THICKNESS: f64 = 2e-5;
-/// Largest uncertainty of a scene's scale: perturbed scenes are up to √3 standard deviations smaller.
-pub const MOST_SCALE_SIGMA: f64 = 0.5;
+/// Largest uncertainty of a scene's sizes: perturbed scenes are up to √3 standard deviations smaller.
+pub const MOST_SIZE_SIGMA: f64 = 0.5;
 
 /// One problem of a scene.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,8 +40,8 @@ impl Scene {
         if !self.gravity_w.is_finite() {
             problems.push(Problem { body: String::new(), what: "gravity is not finite".into() });
         }
-        if !(0.0..=MOST_SCALE_SIGMA).contains(&self.scale_sigma) {
-            let what = format!("scale_sigma is {}, not a share up to {MOST_SCALE_SIGMA}", self.scale_sigma);
+        if !(0.0..=MOST_SIZE_SIGMA).contains(&self.size_sigma) {
+            let what = format!("size_sigma is {}, not a share up to {MOST_SIZE_SIGMA}", self.size_sigma);
             problems.push(Problem { body: String::new(), what });
         }
         for body in &self.bodies {
@@ -175,7 +175,7 @@ mod tests {
             version: SCENE_VERSION,
             name: "t".into(),
             gravity_w: DVec3::NEG_Z,
-            scale_sigma: 0.0,
+            size_sigma: 0.0,
             x_world_recording: DPose3::identity(),
             bodies: vec![body],
         }

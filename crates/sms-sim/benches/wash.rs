@@ -34,7 +34,7 @@ fn structure() -> Result<Scene, Box<dyn Error>> {
         version: SCENE_VERSION,
         name: "cantilever".into(),
         gravity_w: DVec3::new(0.0, 0.0, -9.81),
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: DPose3::IDENTITY,
         bodies: vec![
             floor_body(0.0, example_material()),

@@ -21,7 +21,7 @@
 //!     version: sms_scene::SCENE_VERSION,
 //!     name: "one ball".into(),
 //!     gravity_w: DVec3::new(0.0, 0.0, -9.81),
-//!     scale_sigma: 0.0,
+//!     size_sigma: 0.0,
 //!     x_world_recording: DPose3::IDENTITY,
 //!     bodies: vec![floor, ball],
 //! };

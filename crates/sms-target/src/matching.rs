@@ -64,7 +64,7 @@ mod tests {
             version: SCENE_VERSION,
             name: "t".into(),
             gravity_w: DVec3::NEG_Z,
-            scale_sigma: 0.0,
+            size_sigma: 0.0,
             x_world_recording: DPose3::IDENTITY,
             bodies: [floor].into_iter().chain(balls.iter().map(ball)).collect(),
         }

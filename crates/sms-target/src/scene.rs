@@ -44,7 +44,7 @@ pub fn scene_from_truth(truth: &TruthScene) -> Result<Scene, InertiaError> {
         version: SCENE_VERSION,
         name: format!("{} (truth)", truth.name),
         gravity_w: DVec3::new(0.0, 0.0, -GRAVITY),
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: DPose3::IDENTITY,
         bodies,
     })

@@ -170,7 +170,7 @@ pub(crate) fn scanned(
         name: &which.to_string(),
         queries: &queries,
         overrides: None,
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: trained.sequence.x_world_recording,
         fix_restless: trained.labels.source == MaskSource::Geometry,
     };

@@ -86,7 +86,7 @@ pub(super) fn simulate_with(
         version: SCENE_VERSION,
         name: "probe".into(),
         gravity_w: DVec3::new(0.0, 0.0, -gravity),
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: DPose3::IDENTITY,
         bodies,
     };

@@ -37,7 +37,7 @@ fn board(mass: f64, over: f64) -> Scene {
         version: SCENE_VERSION,
         name: "board".into(),
         gravity_w: DVec3::new(0.0, 0.0, -G),
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: DPose3::IDENTITY,
         bodies: vec![
             floor_body(0.0, example_material()),

@@ -21,7 +21,7 @@ use sms_frames::{ReadOptions, Sequence};
 use sms_gaussians::{read_ply, write_ply};
 use sms_masks::load_labels;
 use sms_materials::{ClassChoice, MaterialTable, ObjectQuery, Overrides, class_choices};
-use sms_scene::{MOST_SCALE_SIGMA, Scene, save_scene};
+use sms_scene::{MOST_SIZE_SIGMA, Scene, save_scene};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -99,8 +99,8 @@ impl Run<'_> {
         for (query, estimate) in queries.iter_mut().zip(estimates) {
             query.estimate = estimate;
         }
-        let scale_sigma = pose_report(&frames_dir)?.and_then(|report| report.relative_size_sigma());
-        let scene_hash = inputs_hash(&[&hash], &("scene 6", &queries, &overrides, MaterialTable::builtin()))?;
+        let size_sigma = pose_report(&frames_dir)?.and_then(|report| report.relative_size_sigma());
+        let scene_hash = inputs_hash(&[&hash], &("scene 7", &queries, &overrides, MaterialTable::builtin()))?;
         let scene_dir = run_stage(self.context, &run, "scene", &scene_hash, |stage, warnings| {
             atomic::write_json(&stage.dir().join(QUERIES), &queries)?;
             let objects = set.entities.iter().filter(|e| e.label != BACKGROUND);
@@ -111,7 +111,7 @@ impl Run<'_> {
                 name: &name,
                 queries: &queries,
                 overrides: Some(&overrides),
-                scale_sigma: scale_sigma.unwrap_or(0.0).min(MOST_SCALE_SIGMA),
+                size_sigma: size_sigma.unwrap_or(0.0).min(MOST_SIZE_SIGMA),
                 x_world_recording: sequence.x_world_recording,
                 fix_restless: labels.source == MaskSource::Geometry,
             };

@@ -17,8 +17,8 @@ pub struct SceneRequest<'a> {
     pub queries: &'a [ObjectQuery],
     /// Material values of the user.
     pub overrides: Option<&'a Overrides>,
-    /// Standard deviation of the scene's scale, as a share; 0 if unknown.
-    pub scale_sigma: f64,
+    /// Standard deviation of sizes and distances, as a share; 0 if unknown.
+    pub size_sigma: f64,
     /// Maps the recording's world to the scene's.
     pub x_world_recording: DPose3,
     /// Whether to fix bodies that do not stay at rest. Masks from geometry may cut an object into pieces that do not
@@ -36,7 +36,7 @@ pub fn scene(set: &EntitySet, request: &SceneRequest<'_>, context: StageContext<
     let floor = materials.pop();
     let support = set.support_height.zip(floor);
     let mut scene = build_scene(name, &set.entities, &materials, support, x_world_recording)?;
-    scene.scale_sigma = request.scale_sigma;
+    scene.size_sigma = request.size_sigma;
     if request.fix_restless {
         for drift in fix_restless(&RapierFactory, &mut scene, &RestLimits::default())? {
             let message = format!("{}: it becomes a fixed collider", drift_text(&drift));

@@ -104,7 +104,7 @@ fn without_cache(recording: &Path, truth: &TruthScene, work_dir: &Path) -> (Scen
         name: "recording",
         queries: &queries,
         overrides: None,
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: sequence.x_world_recording,
         fix_restless: true,
     };

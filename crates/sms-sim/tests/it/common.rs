@@ -81,7 +81,7 @@ pub fn scene(gravity: f64, bodies: Vec<Body>) -> Scene {
         version: SCENE_VERSION,
         name: "test".into(),
         gravity_w: DVec3::new(0.0, 0.0, -gravity),
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: DPose3::IDENTITY,
         bodies,
     }

@@ -38,7 +38,7 @@ fn scene(mass: f64) -> Scene {
         version: SCENE_VERSION,
         name: "plank".into(),
         gravity_w: DVec3::new(0.0, 0.0, -G),
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: DPose3::IDENTITY,
         bodies: vec![floor_body(0.0, example_material()), post, plank],
     }

@@ -44,7 +44,7 @@ fn world(truth: &TruthScene) -> Scene {
         version: SCENE_VERSION,
         name: truth.name.clone(),
         gravity_w,
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: DPose3::IDENTITY,
         bodies,
     }

@@ -57,7 +57,7 @@ fn simulation(strike: &ArmStrike, with_ball: bool, arm: ArmKind) -> Simulation {
         version: SCENE_VERSION,
         name: "arm".into(),
         gravity_w: DVec3::new(0.0, 0.0, -GRAVITY),
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: glamx::DPose3::IDENTITY,
         bodies,
     };

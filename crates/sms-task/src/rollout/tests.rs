@@ -30,7 +30,7 @@ fn scene(others: impl IntoIterator<Item = Body>) -> Scene {
         version: SCENE_VERSION,
         name: "two balls".into(),
         gravity_w: DVec3::new(0.0, 0.0, -9.81),
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: DPose3::identity(),
         bodies: bodies.into_iter().chain(others).collect(),
     }

@@ -49,7 +49,7 @@ pub(crate) fn two_balls() -> Scene {
         version: SCENE_VERSION,
         name: "two balls".into(),
         gravity_w: DVec3::new(0.0, 0.0, -9.81),
-        scale_sigma: 0.0,
+        size_sigma: 0.0,
         x_world_recording: DPose3::identity(),
         bodies: vec![
             floor_body(0.0, material(0.4, 0.5)),
