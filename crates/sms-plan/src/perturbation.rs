@@ -143,12 +143,13 @@ impl Perturbation {
         which: &dyn Fn(&Unknown) -> bool,
     ) -> Scene {
         let seed = seed.derive_index("world", index as u64);
-        let mut perturbed = scene.clone();
-        if self.scale && scene.size_sigma > 0.0 && which(&Unknown::Scale) {
+        let mut perturbed = if self.scale && scene.size_sigma > 0.0 && which(&Unknown::Scale) {
             // The half width of a uniform distribution of this standard deviation.
             let half = 3f64.sqrt() * scene.size_sigma;
-            perturbed = scene.scaled(1.0 + half * symmetric(&mut seed.derive("scale").rng()));
-        }
+            scene.scaled(1.0 + half * symmetric(&mut seed.derive("scale").rng()))
+        } else {
+            scene.clone()
+        };
         for (body, is_free) in perturbed.bodies.iter_mut().zip(self.free(scene)) {
             let name = body.name.clone();
             let rng = |what: &str| seed.derive(what).derive(&name).rng();
