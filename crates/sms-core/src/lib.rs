@@ -80,7 +80,7 @@ pub use mesh::{Aabb, Mesh};
 pub use mesh_texture::{MeshTexture, read_mesh_texture, write_textured_obj};
 pub use png_io::{read_png_color, read_png_gray16, read_png_labels, write_png_color, write_png_gray16};
 pub use progress::{JsonProgress, NoProgress, PlainProgress, Progress, Status, shown_units};
-pub use quantile::{QuantileRule, quantile};
+pub use quantile::{NORMAL_90, QuantileRule, quantile};
 pub use ranges::Ranges;
 pub use remaining_time::RemainingTime;
 pub use run_folder::{RunFolder, STAGE_RECORD, Stage, StageState, toml_value};

@@ -8,6 +8,7 @@ use crate::residual::{for_each_landing, meeting};
 use crate::views::{DirectedFrame, Point};
 use glamx::DPose3;
 use rayon::prelude::*;
+use sms_core::NORMAL_90;
 use sms_frames::DepthNoise;
 use std::collections::BTreeMap;
 
@@ -22,8 +23,6 @@ const LEAST_COSINE: f64 = 0.4;
 /// The standard deviation is that of the normal distribution with the same quantile: later stages tell surfaces apart by it, so
 /// that it must hold the tails of a sensor's errors, and not only their middle.
 const QUANTILE: f64 = 0.9;
-/// That quantile of the absolute value of a standard normal number.
-const OF_NORMAL: f64 = 1.644_853_626_951_472;
 
 /// Returns the noise that explains the differences between pairs of frames; `None` if too few are comparable.
 pub(crate) fn depth_noise(
@@ -45,7 +44,7 @@ pub(crate) fn depth_noise(
         .map(|(range, mut differences)| {
             let rank = (QUANTILE * differences.len() as f64) as usize;
             let quantile = *differences.select_nth_unstable_by(rank, f64::total_cmp).1;
-            (RATIO.powf(f64::from(range) + 0.5), quantile / OF_NORMAL / std::f64::consts::SQRT_2)
+            (RATIO.powf(f64::from(range) + 0.5), quantile / NORMAL_90 / std::f64::consts::SQRT_2)
         })
         .collect();
     fitted(&sigmas)

@@ -10,6 +10,7 @@ use crate::views::{Point, by_focal_of};
 use glamx::{DPose3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use sms_core::NORMAL_90;
 
 /// Number of horizontal directions in which the distance between faces is examined.
 const DIRECTIONS: usize = 12;
@@ -53,10 +54,9 @@ impl SizeUncertainty {
 
     /// Returns a statement for people: 90 % intervals.
     pub(crate) fn summary(&self) -> String {
-        const NINETY: f64 = 1.645;
-        let scale = format!("scale known to ±{:.2} %", 1e2 * NINETY * self.scale_sigma);
+        let scale = format!("scale known to ±{:.2} %", 1e2 * NORMAL_90 * self.scale_sigma);
         self.weakest().map_or(scale.clone(), |e| {
-            let (most_mm, size_mm) = (1e3 * NINETY * e.sigma_m, 1e3 * e.distance_m);
+            let (most_mm, size_mm) = (1e3 * NORMAL_90 * e.sigma_m, 1e3 * e.distance_m);
             format!("{scale}, and a distance of {size_mm:.0} mm between opposite faces to ±{most_mm:.1} mm")
         })
     }

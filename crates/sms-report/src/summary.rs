@@ -3,13 +3,11 @@
 use crate::input::ReportInput;
 use crate::landing::{predicted_card, verdict};
 use sms_core::{
-    counted, escape_xml, is_at_rest, judge_depth_error, judge_psnr, judge_success, length_text, lengths_text,
+    NORMAL_90, counted, escape_xml, is_at_rest, judge_depth_error, judge_psnr, judge_success, length_text,
+    lengths_text,
 };
 use sms_scene::{BodyKind, BodyShape};
 use std::fmt::Write;
-
-/// Half width of the 90 % interval of a normal distribution, in standard deviations.
-const NINETY: f64 = 1.645;
 
 /// Returns the result in one sentence, with the next command where a stage is missing.
 pub(crate) fn result_sentence(input: &ReportInput<'_>) -> String {
@@ -187,7 +185,7 @@ fn scan_cards(html: &mut String, input: &ReportInput<'_>) {
             if exact.is_empty() { String::new() } else { format!("of these exact: {}", exact.join(", ")) };
         card(html, "Objects", &dynamic.count().to_string(), &note, "");
         if scene.size_sigma > 0.0 {
-            let value = format!("±{:.2} %", 100.0 * NINETY * scene.size_sigma);
+            let value = format!("±{:.2} %", 100.0 * NORMAL_90 * scene.size_sigma);
             card(html, "Size", &value, "90 % interval of sizes and distances, from the camera poses", "");
         }
     }

@@ -1,6 +1,7 @@
 //! Results of refined orbits: the table for people, and the figures.
 
 use super::{BoxErrors, OrbitKind, PoseFault};
+use sms_core::NORMAL_90;
 use sms_core::metrics::Metrics;
 use sms_poses::SizeUncertainty;
 use std::collections::BTreeMap;
@@ -54,9 +55,6 @@ impl Sigmas {
     }
 }
 
-/// Half of a 90 % interval of a normal value, in standard deviations.
-const NINETY: f64 = 1.645;
-
 type Groups<'a> = BTreeMap<(OrbitKind, PoseFault), Vec<&'a OrbitRow>>;
 
 fn groups(rows: &[OrbitRow]) -> Groups<'_> {
@@ -87,7 +85,7 @@ fn figures(rows: &[&OrbitRow]) -> [(&'static str, f64); 16] {
         let s = r.sigmas;
         [(r.scale - 1.0, s.scale), (r.faces.width_m, s.width_m), (r.faces.depth_m, s.depth_m)]
     });
-    let held: Vec<bool> = stated.filter_map(|(e, s)| Some(e.abs() <= NINETY * s?)).collect();
+    let held: Vec<bool> = stated.filter_map(|(e, s)| Some(e.abs() <= NORMAL_90 * s?)).collect();
     let coverage = held.iter().filter(|h| **h).count() as f64 / held.len().max(1) as f64;
     let sigma = |f: fn(&Sigmas) -> Option<f64>| {
         let all: Vec<f64> = rows.iter().filter_map(|r| f(&r.sigmas)).collect();
