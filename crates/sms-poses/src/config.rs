@@ -1,5 +1,6 @@
 //! Settings.
 
+use crate::PoseOrigin;
 use serde::{Deserialize, Serialize};
 use sms_core::{InputError, Ranges};
 
@@ -107,6 +108,21 @@ impl Default for PosesConfig {
 }
 
 impl PosesConfig {
+    /// Returns the settings for poses of an origin. Poses that were estimated from the images have no mount whose pose could be wrong,
+    /// and no clock of their own.
+    #[must_use]
+    pub fn for_origin(&self, origin: PoseOrigin) -> Self {
+        match origin {
+            PoseOrigin::Recorded => self.clone(),
+            PoseOrigin::Estimated | PoseOrigin::EstimatedAlone => Self {
+                prior_hand_eye_m: 0.0,
+                prior_hand_eye_rad: 0.0,
+                prior_time_offset_s: 0.0,
+                ..self.clone()
+            },
+        }
+    }
+
     /// Checks that all values are in range.
     ///
     /// # Errors

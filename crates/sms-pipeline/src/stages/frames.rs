@@ -46,7 +46,8 @@ pub fn frames(
     }
     let checked = checked(recording, request.accept_faults, context)?;
     let posed = posed_frames(recording, &request.load, &request.poses, must_estimate, context)?;
-    let mut frames = refined(posed.sequence, request, context)?;
+    let request = FramesRequest { poses: request.poses.for_origin(posed.origin), ..request.clone() };
+    let mut frames = refined(posed.sequence, &request, context)?;
     frames.metrics.merge(checked);
     frames.metrics.merge(posed.metrics);
     if let Some(report) = &mut frames.poses {

@@ -32,7 +32,7 @@ pub fn sensor(
     let first = recording.frames.len().saturating_sub(EXAMINED) / 2;
     let some = LoadSettings { first, stride: 1, max_frames: EXAMINED, ..settings.clone() };
     let posed = posed_frames(recording, &some, config, !recording.has_poses, context)?;
-    let config = PosesConfig { mode: PosesMode::Refine, ..config.clone() };
+    let config = PosesConfig { mode: PosesMode::Refine, ..config.for_origin(posed.origin) };
     let report =
         PoseReport { origin: posed.origin, ..refine_poses(&posed.sequence, &config, context)?.report };
     Ok(SensorErrors { report, pixel_scale: pixel_scale(recording, &posed.sequence) })
