@@ -51,7 +51,7 @@ pub(crate) enum Command {
     Robot(RobotArguments),
     /// Execute the plan in an independent target world.
     Execute(ExecuteArguments),
-    /// Compare the reconstruction with known models.
+    /// Compare the scene with the recorded depth, and with known models.
     Evaluate(EvaluateArguments),
     /// Write the report page.
     Report(ReportArguments),

@@ -9,6 +9,7 @@
 //! - **Surfaces**: points on the discs of an object's Gaussians ([`disc_points`]) compared with its true surface
 //!   ([`score_labelled`]). The score of a scene is the mean over its objects.
 //! - **Entities**: [`surface_figures`], [`solid_figures`], [`placed_figures`].
+//! - **Recorded depth**: [`depth_agreement`] of the scene's surfaces with the depth of any recording, without a reference.
 //! - **Physics engines**: [`closed_form`] experiments.
 //!
 //! ```
@@ -33,6 +34,7 @@
 
 mod assignment;
 pub mod closed_form;
+mod depth_agreement;
 mod entity_scores;
 mod evaluate;
 mod images;
@@ -47,6 +49,7 @@ mod surface_scores;
 mod truth;
 
 pub use assignment::{least_cost_assignment, match_objects};
+pub use depth_agreement::{AGREES_M, AGREES_SHARE, DepthAgreement, SceneAgreement, depth_agreement};
 pub use entity_scores::{SURFACE_SAMPLES, solid_figures, surface_figures};
 pub use evaluate::{
     EvaluateError, EvaluateSettings, KnownObject, KnownSurface, ObjectScores, compare_sphere,

@@ -1,4 +1,5 @@
-//! `sms evaluate`: compares the reconstruction with known models, or with the ground truth of a generated recording.
+//! `sms evaluate`: compares the reconstruction with the recorded depth, and with known models or the ground truth of a generated
+//! recording.
 
 use crate::cli::EvaluateArguments;
 use sms_cli::front::Console;
@@ -9,6 +10,11 @@ use sms_pipeline::stages::Comparison;
 pub(crate) fn run(console: &Console, a: &EvaluateArguments) -> anyhow::Result<()> {
     let run = Run::new(&a.run, &console.context);
     let outcome = run.evaluate(a.objects.as_deref())?;
+    if let Some([agrees, false_surface, hole]) = outcome.agreement.shares().map(|s| s.map(|v| 1e2 * v)) {
+        console.say(format!(
+            "recorded depth: {agrees:.1} % of the measured pixels lie on the scene's surfaces (within 5 mm + 1 % of the depth), {false_surface:.1} % behind a false surface, {hole:.1} % in a hole"
+        ));
+    }
     for c in &outcome.comparisons {
         let if_fixed = |mark| if c.is_fixed { mark } else { "" };
         console.say(match (outcome.is_truth, c.sphere) {

@@ -7,10 +7,10 @@ use crate::Error;
 use crate::cache::record;
 use crate::origin::current_dir;
 use crate::stages::{Comparison, MetricNames, add_drifts, evaluate, known_models, known_truth};
+use sms_core::Warnings;
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, Warnings};
 use sms_entities::load_entities;
-use sms_eval::EvaluateSettings;
+use sms_eval::{DepthAgreement, EvaluateSettings, depth_agreement};
 use sms_frames::Sequence;
 use sms_scene::{BodyKind, Scene, load_scene};
 use sms_sim::{RapierFactory, RestingDrift, resting_drift};
@@ -20,10 +20,15 @@ use std::path::Path;
 /// Simulated time of the rest check, seconds.
 const REST_S: f64 = 1.0;
 
+/// Distance between the compared pixels, in both directions.
+const PIXEL_STEP: usize = 4;
+
 /// Result of [`Run::evaluate`].
 #[derive(Debug, Clone)]
 pub struct EvaluateOutcome {
-    /// The compared pairs, in the order of the known objects.
+    /// The scene's surfaces against the recorded depth.
+    pub agreement: DepthAgreement,
+    /// The compared pairs, in the order of the known objects; empty without known objects.
     pub comparisons: Vec<Comparison>,
     /// Whether the known objects are the ground truth of a generated recording.
     pub is_truth: bool,
@@ -33,34 +38,41 @@ pub struct EvaluateOutcome {
 }
 
 impl Run<'_> {
-    /// Compares the entities with the models of an `objects.json`, or with the ground truth of a generated recording.
+    /// Compares the scene with the recorded depth, and the entities with the models of an `objects.json` or with the ground truth of a
+    /// generated recording, if there are any.
     ///
     /// # Errors
-    /// [`Error::Input`] without known objects, or if the scene is stale.
+    /// [`Error::Input`] if the scene is stale, or if known objects are given and the world of the poses is not that of the recording.
     pub fn evaluate(&self, objects: Option<&Path>) -> Result<EvaluateOutcome, Error> {
         let run = self.open()?;
         let set = load_entities(&current_dir(&run, "entities", "materialize")?)?;
         let settings = self.context.settings.section("evaluate", EvaluateSettings::default())?;
-        let x_wr = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?.x_world_recording;
-        refuse_foreign_world(
-            &run,
-            "the known objects are placed in the recording's world",
-            "give the recording its poses; --poses estimate moves estimated ones to these",
-        )?;
+        let sequence = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?;
+        let x_wr = sequence.x_world_recording;
         let scan = RunSettings::of(&run)?;
         let warnings = Warnings::new();
         let scene = load_scene(&current_dir(&run, "scene", "materialize")?)?;
         let drifts = contact_drift(&scene, &warnings);
         self.warn_stale(&run, "scene");
+        let recording = Path::new(&scan.recording);
+        if objects.is_some() || is_generated(recording) {
+            refuse_foreign_world(
+                &run,
+                "the known objects are placed in the recording's world",
+                "give the recording its poses; --poses estimate moves estimated ones to these",
+            )?;
+        }
         let (known, truth) = match objects {
             Some(path) => (known_models(path, &x_wr, scan.masks == "files")?, None),
-            None => {
-                let truth = truth_of(Path::new(&scan.recording))?;
+            None if is_generated(recording) => {
+                let truth = read_truth(recording)?;
                 (known_truth(&truth, &x_wr), Some(truth))
             }
+            None => (Vec::new(), None),
         };
         let names = if truth.is_some() { MetricNames::Entity } else { MetricNames::Known };
         let mut metrics = Metrics::new();
+        let agreement = add_agreement(&scene, &sequence, &mut metrics);
         let fixed: Vec<&str> =
             scene.bodies.iter().filter(|b| b.kind == BodyKind::Static).map(|b| b.name.as_str()).collect();
         let comparisons = evaluate(&known, &set.entities, &fixed, &settings, names, &mut metrics, &warnings)?;
@@ -75,16 +87,30 @@ impl Run<'_> {
             metrics.set("evaluate.drift_m", moved).set("evaluate.turn_rad", turned);
         }
         record(self.context, &run, "evaluate", &["evaluate."], metrics, &warnings)?;
-        Ok(EvaluateOutcome { comparisons, is_truth: truth.is_some(), drift })
+        Ok(EvaluateOutcome { agreement, comparisons, is_truth: truth.is_some(), drift })
     }
 }
 
-fn truth_of(recording: &Path) -> Result<TruthScene, Error> {
-    if !is_generated(recording) {
-        let cure = "pass known models with --objects FILE (see docs/book/src/reference/objects-json.md)";
-        return Err(InputError::new("no known models to compare with", recording, cure).into());
+/// Compares the scene with the depth of all frames, and adds the shares of measured pixels to the metrics: of all, and of those that
+/// each body is first in.
+fn add_agreement(scene: &Scene, sequence: &Sequence, metrics: &mut Metrics) -> DepthAgreement {
+    let views: Vec<_> = sequence.frames.iter().map(|f| (f.camera, &f.depth)).collect();
+    let found = depth_agreement(scene, &views, PIXEL_STEP);
+    metrics.set("evaluate.depth_pixels", found.all.measured);
+    if let Some([agrees, false_surface, hole]) = found.all.shares() {
+        metrics.set("evaluate.depth_agrees", agrees);
+        metrics.set("evaluate.depth_false_surface", false_surface).set("evaluate.depth_hole", hole);
     }
-    Ok(read_truth(recording)?)
+    for (body, of_body) in scene.bodies.iter().zip(&found.bodies) {
+        if let Some([agrees, false_surface, hole]) = of_body.shares() {
+            let key = |figure: &str| format!("evaluate.{}.depth_{figure}", body.name);
+            metrics
+                .set(key("agrees"), agrees)
+                .set(key("false_surface"), false_surface)
+                .set(key("hole"), hole);
+        }
+    }
+    found.all
 }
 
 /// Adds metrics of the found objects and balls of the ground truth.
