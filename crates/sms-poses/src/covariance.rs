@@ -72,7 +72,7 @@ impl Covariance<'_> {
 mod tests {
     use super::*;
     use crate::linear::Block;
-    use crate::pair::CommonSums;
+    use crate::pair::CameraSums;
     use rand::RngExt;
     use sms_core::Seed;
 
@@ -105,7 +105,7 @@ mod tests {
             // The information of a pair states a deviation of 0.01; the true one is 0.03.
             let form = |_: &(usize, usize)| {
                 let g = [(); 6].map(|()| 1e4 * 0.03 * normal());
-                PairForm { h, g, camera: CommonSums::default() }
+                PairForm { h, g, camera: CameraSums::default() }
             };
             let mut forms: Vec<PairForm> = pairs.iter().map(form).collect();
             let mut system = System::new(n);

@@ -3,7 +3,7 @@
 //! motion f of its own, and its information is (H⁻¹ + Σ_f)⁻¹. The size of f follows from the pairs' disagreement.
 
 use crate::linear::{Block, CAMERA, Six, product};
-use crate::pair::CommonSums;
+use crate::pair::CameraSums;
 use sms_core::{Cholesky, symmetric_eigen};
 
 /// Standard deviations of the floor motions.
@@ -20,7 +20,7 @@ pub(crate) struct PairFloor {
 pub(crate) struct PairForm {
     pub(crate) h: Block,
     pub(crate) g: Six,
-    pub(crate) camera: CommonSums,
+    pub(crate) camera: CameraSums,
 }
 
 impl PairForm {
@@ -140,7 +140,7 @@ mod tests {
     use sms_core::{Seed, StageRng};
 
     fn form(rng: &mut StageRng, rows: usize, size: f64) -> PairForm {
-        let mut form = PairForm { h: [[0.0; 6]; 6], g: [0.0; 6], camera: CommonSums::default() };
+        let mut form = PairForm { h: [[0.0; 6]; 6], g: [0.0; 6], camera: CameraSums::default() };
         for _ in 0..rows {
             let v: Six = std::array::from_fn(|_| size * (rng.random::<f64>() - 0.5));
             let c: [f64; CAMERA] = std::array::from_fn(|_| size * (rng.random::<f64>() - 0.5));

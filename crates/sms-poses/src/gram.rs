@@ -1,6 +1,6 @@
 //! Sums of products of the components of many rows.
 
-/// Sums over rows x of all products x x'ᵀ: the Gram matrix of the columns.
+/// Sums over rows x of all products x xᵀ: the Gram matrix of the columns.
 ///
 /// Rows are collected by column, and multiplied a batch at a time: the processor then multiplies several rows at once, and reads
 /// each sum once a batch. The order of additions depends only on the order of the rows.

@@ -1,4 +1,4 @@
-//! Comparison of refined with given poses on pairs of frames and points that the refinement did not use.
+//! Comparison of two sets of poses on pairs of frames and points that no refinement fitted.
 
 use crate::histogram::{Histogram, ResidualStats};
 use crate::pair::PairSums;

@@ -17,7 +17,7 @@
 //!   points are closest, in the least-squares sense, to their positions under the given poses;
 //! - gain and offset of the brightness are fitted to each pair, and one shift of the colour against the depth to all
 //!   frames: without it, colour that is off by a few pixels would bias all poses to one side. So is a factor of the focal
-//!   length, which is used where it is more than chance;
+//!   length, which is used where it is more than chance and held-out pairs agree better with it;
 //! - the covariance of the result gives the uncertainty of the scene's size ([`SizeUncertainty`]): faces that can move
 //!   against each other at no cost do not show in the residuals.
 //!
@@ -88,7 +88,7 @@ pub struct PoseRefinement {
     pub report: PoseReport,
 }
 
-/// Refines the poses `X_WC` of all frames of a sequence.
+/// Refines the poses `X_WC` of all frames of a sequence, and their focal length where the images contradict it.
 ///
 /// Returns the given poses if nothing can be refined (one frame, no overlap, no depth), if the result is not finite, or
 /// if [`PosesMode::Auto`] finds no improvement. The first two cases add a warning.
@@ -161,7 +161,10 @@ pub fn refine_poses(
             turn_rad: g.rotation.angle_between(p.rotation),
         })
         .collect();
-    let finite = corrections.iter().all(|c| c.shift_m.is_finite() && c.turn_rad.is_finite());
+    // A factor beyond two is no calibration error.
+    let is_focal_possible = camera.focal.abs() < std::f64::consts::LN_2;
+    let finite =
+        is_focal_possible && corrections.iter().all(|c| c.shift_m.is_finite() && c.turn_rad.is_finite());
     let mut report = PoseReport {
         origin: PoseOrigin::Recorded,
         verdict: PoseVerdict::Refined,

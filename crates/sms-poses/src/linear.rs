@@ -1,7 +1,7 @@
 //! The linear system of all corrections: 6 × 6 blocks and a few values common to all frames, solved by conjugate
 //! gradients.
 
-use crate::pair::CommonSums;
+use crate::pair::CameraSums;
 use rayon::prelude::*;
 use sms_core::Cholesky;
 
@@ -54,7 +54,7 @@ impl System {
     }
 
     /// Adds the terms of a pair: δᵢ − δⱼ and the values of the cameras.
-    pub(crate) fn add_pair(&mut self, i: usize, j: usize, h: &Block, g: &Six, camera: &CommonSums) {
+    pub(crate) fn add_pair(&mut self, i: usize, j: usize, h: &Block, g: &Six, camera: &CameraSums) {
         for a in 0..6 {
             self.gradient[i][a] += g[a];
             self.gradient[j][a] -= g[a];
@@ -344,7 +344,7 @@ mod tests {
                 }
                 let h = random_block(&mut rng, 4).map(|r| r.map(|v| scale * v));
                 let g: Six = std::array::from_fn(|_| 1e3 * (rng.random::<f64>() - 0.5));
-                system.add_pair(i, j, &h, &g, &CommonSums::default());
+                system.add_pair(i, j, &h, &g, &CameraSums::default());
                 for a in 0..6 {
                     for b in 0..6 {
                         for (r, c, sign) in [(i, i, 1.0), (j, j, 1.0), (i, j, -1.0), (j, i, -1.0)] {

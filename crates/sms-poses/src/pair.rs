@@ -22,7 +22,7 @@ const EXTRA: usize = 2 + CAMERA;
 /// Contribution of a pair to the values of the cameras, with gain and offset eliminated: the coupling with δ, and the block of
 /// these values.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct CommonSums {
+pub(crate) struct CameraSums {
     pub(crate) by: [Six; CAMERA],
     pub(crate) h: [[f64; CAMERA]; CAMERA],
     pub(crate) g: [f64; CAMERA],
@@ -217,10 +217,10 @@ impl PairSums {
 
     /// Returns H, g and the terms of the cameras with gain and offset eliminated, so that gain and offset stay optimal for every
     /// correction.
-    pub(crate) fn reduced(&self) -> (Block, Six, CommonSums) {
+    pub(crate) fn reduced(&self) -> (Block, Six, CameraSums) {
         let inverse = self.brightness_inverse();
         let (mut h, mut g) = (self.h, self.g);
-        let mut camera = CommonSums {
+        let mut camera = CameraSums {
             by: std::array::from_fn(|k| self.by_extra[2 + k]),
             h: std::array::from_fn(|k| std::array::from_fn(|l| self.extra_h[2 + k][2 + l])),
             g: std::array::from_fn(|k| self.extra_g[2 + k]),

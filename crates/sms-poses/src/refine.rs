@@ -11,7 +11,7 @@ use crate::judge::{Posed, judge};
 use crate::linear::{CAMERA, COMMON, Common, FOCAL, HAND_EYE, Six, System, TIME};
 use crate::modes::{CommonMode, largest_mode};
 use crate::noise::depth_noise;
-use crate::pair::{CommonSums, PairSums};
+use crate::pair::{CameraSums, PairSums};
 use crate::planes::PlaneMap;
 use crate::residual::{Arc, Brightness, LinearisationPoint, Phase, Weighing, linearise};
 use crate::size::SizeUncertainty;
@@ -111,9 +111,9 @@ pub(crate) struct Refined {
 #[derive(Debug, Default)]
 struct Uncertainty {
     size: Option<SizeUncertainty>,
-    /// Of the time offset, seconds; also `None` if the times of the frames are not known.
+    /// Of the time offset, seconds; also `None` if the times of the frames are not known, or if it is not estimated.
     time_s: Option<f64>,
-    /// Of the focal length, as a share.
+    /// Of the focal length, as a share; also `None` if it is not estimated.
     focal: Option<f64>,
 }
 
@@ -126,7 +126,7 @@ const NOISE_STEPS: usize = 4;
 const CELL_SHARE: f64 = 0.75;
 /// Weight of a value that is not estimated.
 const HELD: f64 = 1e12;
-/// Standard deviations beyond which a colour shift is not chance.
+/// Standard deviations beyond which a value of the cameras is not chance.
 const SIGNIFICANT: f64 = 3.0;
 
 /// Returns the weight of a prior; a value with the deviation 0 is held.
@@ -271,7 +271,7 @@ impl<'a> BundleAdjustment<'a> {
         let scaled = |s: Six| s.map(|v| share * v);
         let of = |pair: &PairSums| {
             let (h, g, camera) = pair.reduced();
-            let camera = CommonSums {
+            let camera = CameraSums {
                 by: camera.by.map(scaled),
                 h: camera.h.map(|r| r.map(|v| share * v)),
                 g: camera.g.map(|v| share * v),
@@ -382,7 +382,8 @@ impl<'a> BundleAdjustment<'a> {
             }
             estimate.weighing = self.weighing_after(&sums, &estimate.weighing);
             // A root mean square: a single frame that is badly determined must not keep all from being done.
-            let typical_m = (squares / steps.len() as f64).sqrt();
+            let paired = self.graph.paired().len().max(1) as f64;
+            let typical_m = (squares / paired).sqrt().max(camera_step[FOCAL].abs() * self.arm_m);
             tick(&format!("step {:.2} mm", 1e3 * typical_m));
             // Smaller steps do not change the associated pixels.
             if typical_m < 0.02 * pixel_m {
@@ -567,7 +568,11 @@ impl<'a> BundleAdjustment<'a> {
         held.is_free[FOCAL] = false;
         held.apparent[FOCAL] = held.camera.focal;
         held.camera.focal = 0.0;
-        let iterations = self.refine_level(0, &mut held, cancel, |_| ())?;
+        // The poses have absorbed the focal length, and must be able to leave it.
+        let coarser = 1.min(self.config.iterations.len() - 1);
+        let mut iterations = self.refine_level(coarser, &mut held, cancel, |_| ())?;
+        iterations += self.refine_level(0, &mut held, cancel, |_| ())?;
+        iterations += self.refine_level(0, estimate, cancel, |_| ())?;
         let [before, after] =
             [&held, &*estimate].map(|state| Posed { poses: &state.poses, camera: state.camera });
         if !judge(self, before, after).improved() {
@@ -585,12 +590,19 @@ impl<'a> BundleAdjustment<'a> {
             .map(|v| v.points(coarse, 1.0, [0.5; 2], [0.0; 2], self.config))
             .collect();
         let forms = self.forms(&self.pass(0, estimate));
+        // A focal length that is used has the error that all points may share, too.
+        let slip = if estimate.is_free[FOCAL] { self.camera_slips()[FOCAL] } else { 0.0 };
+        let used = |sigma: f64| sigma.hypot(slip);
         self.with_covariance(&forms, estimate, |covariance| {
-            let is_timed = estimate.rates.iter().any(|rate| *rate != [0.0; 6]);
+            let is_timed =
+                self.config.prior_time_offset_s > 0.0 && estimate.rates.iter().any(|rate| *rate != [0.0; 6]);
             Uncertainty {
                 size: SizeUncertainty::of(covariance, &estimate.poses, &points, self.center_w),
                 time_s: covariance.common_sigma(TIME).filter(|_| is_timed),
-                focal: covariance.common_sigma(FOCAL),
+                focal: covariance
+                    .common_sigma(FOCAL)
+                    .filter(|_| self.config.prior_focal_share > 0.0)
+                    .map(used),
             }
         })
         .unwrap_or_default()

@@ -52,7 +52,7 @@ impl TimeOffset {
 /// The focal length of the cameras against the recorded one.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FocalChange {
-    /// Its difference as a share; 0 if that is not more than chance.
+    /// Its difference as a share; 0 if that is not more than chance, or if held-out pairs do not agree better with it.
     pub share: f64,
     /// The standard deviation of the share.
     pub sigma: f64,
@@ -138,13 +138,13 @@ pub struct PoseReport {
     pub iterations: usize,
     /// Estimated shift of the colour against the depth, pixels at loaded size (right, down).
     pub color_shift_px: [f64; 2],
-    /// Focal length of the cameras; also `None` if its uncertainty cannot be computed.
+    /// Focal length of the cameras; `None` without a refinement, or if it is not estimated.
     #[serde(default)]
     pub focal: Option<FocalChange>,
     /// The correction that all frames share; like all that follows, `None` without a refinement.
     #[serde(default)]
     pub hand_eye: Option<HandEye>,
-    /// Time offset of the given poses; also `None` if the times of the frames are not known.
+    /// Time offset of the given poses; also `None` if the times of the frames are not known, or if it is not estimated.
     #[serde(default)]
     pub time_offset: Option<TimeOffset>,
     /// Noise of the given poses.
@@ -175,11 +175,14 @@ impl PoseReport {
         match (self.verdict, self.common_mode) {
             (PoseVerdict::Refined, _) => estimated,
             // The images contradict the poses that are used by this much.
-            (
-                PoseVerdict::CommonChange,
-                Some(CommonMode { kind: ModeKind::Scale | ModeKind::Shear, value, .. }),
-            ) => Some(estimated.unwrap_or(0.0).max(value.abs())),
-            (PoseVerdict::CommonChange, _) => estimated,
+            (PoseVerdict::CommonChange, mode) => {
+                let size = |mode: CommonMode| match mode.kind {
+                    ModeKind::Scale | ModeKind::Shear => mode.value.abs(),
+                    ModeKind::SideShift => 0.0,
+                };
+                let of_images = [mode.map(size), self.focal.map(|focal| focal.share.abs()), estimated];
+                of_images.into_iter().flatten().reduce(f64::max)
+            }
             _ => None,
         }
     }

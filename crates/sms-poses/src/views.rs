@@ -55,14 +55,18 @@ pub(crate) struct Surface {
     pub(crate) direction: Direction,
 }
 
+/// Depths of neighbouring pixels that differ by more than this share belong to different surfaces.
+const EDGE_SHARE: f32 = 0.03;
+
 /// Squares of pixels, each the size of a pixel of the finest brightness image, that share a surface direction.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Blocks {
     /// Side of a block, pixels, as a power of two.
-    pub(crate) bits: u32,
+    bits: u32,
     /// Blocks in a row.
     width: usize,
-    /// Index of the first measured pixel of each block, at which its direction is determined.
+    /// Index of the first measured pixel of each block, at which its direction is determined. A block across a depth edge has none:
+    /// its pixels belong to different surfaces.
     pub(crate) measured: Vec<Option<usize>>,
 }
 
@@ -71,10 +75,14 @@ impl Blocks {
         let side = 1usize << bits;
         let width = k.width.div_ceil(side);
         let mut measured = vec![None; width * k.height.div_ceil(side)];
-        for (pixel, _) in depth.iter().enumerate().filter(|(_, s)| s.z > 0.0) {
+        let mut is_edge = vec![false; measured.len()];
+        for (pixel, s) in depth.iter().enumerate().filter(|(_, s)| s.z > 0.0) {
             let block = ((pixel / k.width) >> bits) * width + ((pixel % k.width) >> bits);
-            measured[block].get_or_insert(pixel);
+            let first: &mut Option<usize> = &mut measured[block];
+            let z = depth[*first.get_or_insert(pixel)].z;
+            is_edge[block] |= (s.z - z).abs() > EDGE_SHARE * z;
         }
+        measured.iter_mut().zip(is_edge).filter(|(_, is_edge)| *is_edge).for_each(|(m, _)| *m = None);
         Self { bits, width, measured }
     }
 
@@ -101,7 +109,7 @@ pub(crate) struct PreparedFrame {
     pub(crate) finest_scale: f64,
 }
 
-/// A frame with intrinsics and surface directions from elsewhere, or with its own.
+/// A frame with present intrinsics and surface directions, or with its own.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DirectedFrame<'a> {
     pub(crate) frame: &'a PreparedFrame,
@@ -269,7 +277,7 @@ fn set_sigmas(all: &mut [DepthSample], k: &Intrinsics, noise: &DepthNoise, reach
                 };
                 let (a, b) = (at(x + dx, y + dy), at(x - dx, y - dy));
                 // A pair across an edge has another mean.
-                if a > 0.0 && b > 0.0 && (0.5 * (a + b) - own).abs() < 0.03 * own {
+                if a > 0.0 && b > 0.0 && (0.5 * (a + b) - own).abs() < f64::from(EDGE_SHARE) * own {
                     sum += a + b;
                     count += 2.0;
                 }

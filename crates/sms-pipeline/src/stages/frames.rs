@@ -106,7 +106,12 @@ pub fn refined(
     let mut refined = refine_poses(&sequence, config, context)?;
     // Noise that is out of the range of the setting says nothing of a sensor.
     let is_possible = |noise: &DepthNoise| noise.validate("frames", "noise.").is_ok();
-    if let Some(noise) = refined.report.depth_noise.filter(|n| load.estimate_noise && is_possible(n)) {
+    let estimated = refined.report.depth_noise.filter(|n| load.estimate_noise && is_possible(n));
+    // Another focal length changes the normals, too.
+    let own = refined.sequence.frames.first().zip(sequence.frames.first()).and_then(|(after, before)| {
+        (after.camera.intrinsics != before.camera.intrinsics).then_some(before.depth_noise)
+    });
+    if let Some(noise) = estimated.or(own) {
         refined.sequence.set_depth_noise(noise, load.normal_radius);
     }
     metrics.merge(refined.report.metrics());

@@ -4,7 +4,7 @@ use super::registration::{Registration, about};
 use crate::align::moved_about;
 use crate::floor::{PairFloor, PairForm};
 use crate::linear::{Block, COMMON, Row, Six, System, product};
-use crate::pair::CommonSums;
+use crate::pair::CameraSums;
 use glamx::{DMat3, DPose3, DVec3};
 
 /// A measured motion from one keyframe to another.
@@ -56,7 +56,7 @@ pub(super) fn settle(x_wc: &mut [DPose3], edges: &[Edge], held: &[usize]) -> Vec
             }
             for (edge, Weighed { form, weight }) in edges.iter().zip(&weighed) {
                 let h = form.h.map(|row| row.map(|v| weight * v));
-                system.add_pair(edge.from, edge.to, &h, &form.g.map(|v| weight * v), &CommonSums::default());
+                system.add_pair(edge.from, edge.to, &h, &form.g.map(|v| weight * v), &CameraSums::default());
             }
             let Some((steps, _)) = system.solve() else { return agrees };
             let mut largest = 0f64;
@@ -97,7 +97,7 @@ fn own_form(edge: &Edge, x_wc: &[DPose3]) -> PairForm {
     let x_wi = &x_wc[edge.from];
     let h = in_world(&edge.motion.information, &DMat3::from_quat(x_wi.rotation));
     let g = product(&h, &disagreement(edge, x_wc, x_wi.transform_point(edge.motion.center_a)));
-    PairForm { h, g, camera: CommonSums::default() }
+    PairForm { h, g, camera: CameraSums::default() }
 }
 
 fn weighed(edge: &Edge, x_wc: &[DPose3], center_w: DVec3, floor: &PairFloor) -> Weighed {
