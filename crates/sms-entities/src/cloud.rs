@@ -50,6 +50,7 @@ pub(crate) fn label_discs(
     let mut discs = Vec::new();
     for i in 0..model.len() {
         let usable = model.labels[i] == label
+            && model.is_measured(i)
             && f64::from(model.label_confidence[i]) >= config.min_confidence
             && f64::from(model.opacities[i]) >= config.min_opacity
             && model.positions_w[i].is_finite()
@@ -94,6 +95,7 @@ pub fn object_gaussians(model: &GaussianModel, entity: &Entity, config: &Entitie
         .filter(|&i| {
             let p = model.positions_w[i].as_dvec3();
             model.labels[i] == entity.label
+                && model.is_measured(i)
                 && f64::from(model.label_confidence[i]) >= config.min_confidence
                 && p.cmpge(low).all()
                 && p.cmple(high).all()

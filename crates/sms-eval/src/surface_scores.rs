@@ -47,7 +47,8 @@ pub struct LabelledPoint {
 pub fn disc_points(model: &GaussianModel, x_tw: &DPose3, sampling: &DiscSampling) -> Vec<LabelledPoint> {
     let mut points = Vec::new();
     for i in 0..model.len() {
-        let usable = model.opacities[i] >= sampling.min_opacity
+        let usable = model.is_measured(i)
+            && model.opacities[i] >= sampling.min_opacity
             && model.label_confidence[i] >= sampling.min_confidence
             && model.positions_w[i].is_finite()
             && model.scales[i].is_finite();

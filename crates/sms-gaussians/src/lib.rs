@@ -1,7 +1,8 @@
 //! Differentiable 3D Gaussians: model, losses, training schedule, CPU back end, checkpoint and PLY.
 //!
 //! [`scan`] turns posed RGB-D frames with labels into a [`GaussianModel`] (paper, Section "Scan"): each frame is seeded
-//! and optimised in turn while earlier frames are replayed. A back end is a [`Trainer`], which takes whole training
+//! and optimised in turn while earlier frames are replayed, or all frames are fused into one surface first
+//! ([`ScanOrder`]). A back end is a [`Trainer`], which takes whole training
 //! steps. This crate contains [`CpuTrainer`]; its tests compare with a reference in double precision (`tests/oracle`).
 //! [`write_ply`] and [`read_ply`] store the model as a standard 3D Gaussian Splatting file.
 //!
@@ -62,7 +63,7 @@ pub use cpu::{CpuTrainer, SimdForm, StepTimes};
 pub(crate) use model::HIDDEN_DIM;
 pub use model::{AFFINITY_DIM, Classifier, GaussianModel};
 pub use scan::{
-    BatchDone, LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanObserver, ScanResult,
+    BatchDone, LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanObserver, ScanOrder, ScanResult,
     ScanResumed, SeedingConfig, SlotDone, StageSeconds, StopConfig, ViewRender, ViewScore, read_ply,
     render_views, scan, write_ply,
 };

@@ -28,6 +28,9 @@ pub struct GaussianModel {
     pub label_confidence: Vec<f32>,
     /// The classifier.
     pub classifier: Classifier,
+    /// Whether a frame measured a surface at each Gaussian; empty if all are on a measured surface. Others are placed by colour
+    /// alone, to fill the picture: no surface of a body.
+    pub measured: Vec<bool>,
     /// Colour behind all Gaussians, 0 to 1: the colour of empty pixels.
     pub background: [f32; 3],
 }
@@ -58,6 +61,11 @@ impl GaussianModel {
         self.positions_w.is_empty()
     }
 
+    /// Whether a frame measured a surface at Gaussian `i`.
+    pub fn is_measured(&self, i: usize) -> bool {
+        self.measured.get(i).is_none_or(|measured| *measured)
+    }
+
     /// Returns the Gaussians with these indices, in their order.
     ///
     /// # Panics
@@ -75,6 +83,7 @@ impl GaussianModel {
             affinities: pick(&self.affinities, indices),
             labels: pick(&self.labels, indices),
             label_confidence: pick(&self.label_confidence, indices),
+            measured: if self.measured.is_empty() { Vec::new() } else { pick(&self.measured, indices) },
             classifier: self.classifier.clone(),
             background: self.background,
         }

@@ -25,6 +25,8 @@ pub(crate) struct SchedulePosition {
     pub(crate) pruned_midway: bool,
     /// Loss of each batch of this slot, for early stopping.
     pub(crate) batch_losses: Vec<f32>,
+    /// Number of Gaussians on measured surfaces, which come first; `None` if all are.
+    pub(crate) measured: Option<usize>,
     /// Steps taken since the start.
     pub(crate) total_steps: u64,
     /// The history.

@@ -3,6 +3,7 @@
 use crate::{LearningRates, LossWeights, TrainConfig};
 use serde::{Deserialize, Serialize};
 use sms_frames::DepthNoise;
+use sms_surface::{SurfaceConfig, SurfaceTolerance};
 
 /// Trade-off between time and quality of a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -73,6 +74,9 @@ pub struct SeedingConfig {
     pub opacity: f32,
     /// Surfaces with a smaller cosine between normal and ray are left to other frames.
     pub min_cosine: f64,
+    /// Whether Gaussians are also placed where colour was recorded but no depth, with the schedule `fused`. They are marked
+    /// and never part of a body.
+    pub unmeasured: bool,
 }
 
 impl Default for SeedingConfig {
@@ -89,6 +93,7 @@ impl Default for SeedingConfig {
             thickness: 0.1,
             opacity: 0.5,
             min_cosine: 0.1,
+            unmeasured: true,
         }
     }
 }
@@ -127,10 +132,26 @@ impl Default for StopConfig {
     }
 }
 
+/// Order in which a scan finds geometry and colour.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScanOrder {
+    /// All frames are fused into one surface, Gaussians are placed on it, and their colours are optimised last.
+    Fused,
+    /// Frame after frame is seeded and optimised while earlier ones are replayed (paper, Section "Scan"); the
+    /// Gaussians move onto the fused surface before and after the refinement over all frames.
+    #[default]
+    Sequential,
+}
+
 /// Settings of the scan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ScanConfig {
+    /// Order in which geometry and colour are found.
+    pub schedule: ScanOrder,
+    /// Largest number of steps over all frames with the schedule `fused`.
+    pub fused_steps: usize,
     /// Largest number of steps on the first frame.
     pub steps_first: usize,
     /// Largest number of steps on each later frame.
@@ -147,13 +168,14 @@ pub struct ScanConfig {
     pub seeding: SeedingConfig,
     /// Pruning.
     pub pruning: PruningConfig,
-    /// Whether to move the Gaussians onto the fused surface of all frames, before and after the refinement.
+    /// Whether to move the Gaussians onto the fused surface of all frames, before and after the refinement of the schedule
+    /// `sequential`.
     pub fuse_depth: bool,
     /// Whether to correct labels that contradict the masks, before and after the refinement.
     pub correct_labels: bool,
     /// Early stopping.
     pub stop: StopConfig,
-    /// Greatest number of Gaussians.
+    /// Greatest number of Gaussians with the schedule `sequential`; with `fused` it follows from the surface.
     pub max_gaussians: usize,
     /// Every `holdout`-th frame is excluded from training and seeding and used to measure quality; 0 for none.
     pub holdout: usize,
@@ -167,6 +189,8 @@ pub struct ScanConfig {
 impl Default for ScanConfig {
     fn default() -> Self {
         Self {
+            schedule: ScanOrder::default(),
+            fused_steps: 600,
             steps_first: 1000,
             steps_frame: 100,
             final_steps: 300,
@@ -218,8 +242,33 @@ impl ScanConfig {
         }
     }
 
+    /// Returns the greatest number of steps over all frames together.
+    pub(crate) fn last_steps(&self) -> usize {
+        match self.schedule {
+            ScanOrder::Fused => self.fused_steps,
+            ScanOrder::Sequential => self.final_steps,
+        }
+    }
+
+    /// Returns the first slot of the schedule: with `fused`, all frames are optimised together from the start.
+    pub(crate) fn first_slot(&self, frames: usize) -> usize {
+        if self.schedule == ScanOrder::Fused { frames } else { 0 }
+    }
+
+    /// The settings of the fused surface.
+    pub fn surface(&self) -> SurfaceConfig {
+        let seeding = &self.seeding;
+        SurfaceConfig {
+            tolerance: SurfaceTolerance { min_m: seeding.min_tolerance_m, sigmas: seeding.tolerance_sigmas },
+            spacing_px: seeding.spacing_px,
+            edge_spacing: seeding.edge_spacing,
+            edge_threshold: seeding.edge_threshold,
+            min_cosine: seeding.min_cosine,
+        }
+    }
+
     /// Returns the least difference in depth at depth `z_m` that separates two surfaces, metres.
     pub fn tolerance_m(&self, noise: &DepthNoise, z_m: f64) -> f64 {
-        self.seeding.min_tolerance_m.max(self.seeding.tolerance_sigmas * noise.sigma_m(z_m))
+        self.surface().tolerance.at(noise, z_m)
     }
 }

@@ -6,11 +6,11 @@
 //! the most confident Gaussian of the voted label. Classifier, renders and labels then stay consistent.
 
 use super::config::ScanConfig;
-use super::nearby::map_nearby;
 use crate::parameters::{AFFINITY, PARAMETERS, Parameters};
 use crate::{AFFINITY_DIM, GaussianModel};
 use sms_core::LabelMap;
 use sms_frames::Frame;
+use sms_surface::map_nearby;
 
 /// Smallest share of the votes for a label.
 const MAJORITY: f64 = 0.6;

@@ -1,141 +1,43 @@
 //! Projection of Gaussians onto the surface measured by all frames.
 //!
 //! Positions hardly move in training: colours would pull centres off the surface (by 2 mm at 1e-4 m per step), and the
-//! depth of one view is noisy. Instead, centres and normals become the weighted means of the measurements of all
-//! frames, as in projective fusion of depth (Curless and Levoy, SIGGRAPH 1996). The two sides of a wall are fused
-//! separately.
+//! depth of one view is noisy. Instead, centres and normals become those of the fused surface.
 
 use super::config::ScanConfig;
-use super::nearby::map_nearby;
 use crate::parameters::{LOG_SCALE, POSITION, Parameters, ROTATION, Row};
 use glamx::{DQuat, DVec3, Quat, Vec3};
 use rayon::prelude::*;
+use sms_core::Cancel;
 use sms_frames::Frame;
-
-/// Number of passes; the second measures at the position found by the first.
-const PASSES: usize = 2;
-/// Least cosine between the disc's normal and the normals of its surface.
-const SAME_SURFACE_COSINE: f64 = 0.7;
+use sms_surface::{Surfel, settle};
 
 /// Moves every Gaussian along its normal to the mean of the measurements of `frames`, and turns it to their mean
 /// normal. Gaussians without measurements remain unchanged; moments are kept.
 pub(crate) fn fuse(parameters: &mut Parameters, frames: &[&Frame], config: &ScanConfig) {
-    let rows = &parameters.rows;
-    let positions_w: Vec<Vec3> = rows.par_iter().map(|row| Vec3::from_slice(&row.0[POSITION..])).collect();
-    let fused = map_nearby(&positions_w, |group| {
-        let mut discs: Vec<GaussianDisc> =
-            group.iter().map(|&i| GaussianDisc::of(&rows[i as usize])).collect();
-        for _ in 0..PASSES {
-            let mut sums: Vec<[SideMeasurement; 2]> = discs.iter().map(|_| Default::default()).collect();
-            for frame in frames {
-                for (disc, sides) in discs.iter().zip(&mut sums) {
-                    add_frame(sides, frame, disc, config);
-                }
-            }
-            discs.iter_mut().zip(sums).for_each(|(disc, sides)| disc.adjust(sides));
+    let discs: Vec<Surfel> = parameters.rows.par_iter().map(surfel_of).collect();
+    let mut fused = discs.clone();
+    // It takes seconds at most and is not interrupted, so that the checkpoint after it is written.
+    if settle(&mut fused, frames, &config.surface(), &Cancel::new()).is_err() {
+        return;
+    }
+    for (row, (before, after)) in parameters.rows.iter_mut().zip(discs.iter().zip(&fused)) {
+        let along_w = after.n_w * after.n_w.dot(before.n_w).signum();
+        let turn = DQuat::from_rotation_arc(before.n_w, along_w);
+        let rotation_wg = (turn * Quat::from_slice(&row.0[ROTATION..]).as_dquat()).normalize().as_quat();
+        row.0[POSITION..POSITION + 3].copy_from_slice(&after.p_w.as_vec3().to_array());
+        if after != before {
+            row.0[ROTATION..ROTATION + 4].copy_from_slice(&rotation_wg.to_array());
         }
-        discs
-    });
-    for (row, disc) in parameters.rows.iter_mut().zip(fused) {
-        row.0[POSITION..POSITION + 3].copy_from_slice(&disc.position_w.to_array());
-        row.0[ROTATION..ROTATION + 4].copy_from_slice(&disc.rotation_wg.to_array());
     }
 }
 
-/// A Gaussian as a disc.
-#[derive(Debug, Clone, Copy, Default)]
-struct GaussianDisc {
-    position_w: Vec3,
-    rotation_wg: Quat,
-    /// Its shortest axis: 0, 1 or 2.
-    axis: usize,
-    /// Centre in double precision, and shortest axis in the world.
-    center_w: DVec3,
-    axis_w: DVec3,
-}
-
-impl GaussianDisc {
-    fn of(row: &Row) -> Self {
-        let axis = (0..3).min_by(|&a, &b| row.0[LOG_SCALE + a].total_cmp(&row.0[LOG_SCALE + b])).unwrap_or(2);
-        Self {
-            position_w: Vec3::from_slice(&row.0[POSITION..]),
-            rotation_wg: Quat::from_slice(&row.0[ROTATION..]),
-            axis,
-            ..Self::default()
-        }
-        .in_double()
-    }
-
-    fn in_double(self) -> Self {
-        Self {
-            center_w: self.position_w.as_dvec3(),
-            axis_w: self.rotation_wg.as_dquat() * DVec3::AXES[self.axis],
-            ..self
-        }
-    }
-
-    /// Moves and turns the disc to the measurements.
-    fn adjust(&mut self, [front, back]: [SideMeasurement; 2]) {
-        // A thin wall is measured from both sides, and the mean would lie inside the wall. Each disc belongs to the
-        // side with more measurements.
-        let sum = if back.weight > front.weight { back } else { front };
-        let Self { center_w, axis_w, .. } = *self;
-        if sum.weight > 0.0 {
-            self.position_w = (center_w + axis_w * (sum.offset / sum.weight)).as_vec3();
-        }
-        if sum.normal_w.length() > 0.0 {
-            let along = sum.normal_w * sum.normal_w.dot(axis_w).signum();
-            let turn = DQuat::from_rotation_arc(axis_w, along.normalize());
-            self.rotation_wg = (turn * self.rotation_wg.as_dquat()).normalize().as_quat();
-        }
-        *self = self.in_double();
-    }
-}
-
-/// Weighted sums over frames.
-#[derive(Default)]
-struct SideMeasurement {
-    /// Sum of signed distances from the centre along the disc's axis, metres.
-    offset: f64,
-    weight: f64,
-    /// Sum of unit normals, which face the cameras.
-    normal_w: DVec3,
-}
-
-/// Adds the measurements of one frame to the side of the disc that faces the camera. Uses the four pixels around the
-/// projected centre, weighted bilinearly and by the inverse variance of the depth noise.
-fn add_frame(sides: &mut [SideMeasurement; 2], frame: &Frame, disc: &GaussianDisc, config: &ScanConfig) {
-    let GaussianDisc { center_w, axis_w, .. } = *disc;
-    let Some((u, v, z)) = frame.camera.project(center_w) else { return };
-    let rotation_wc = frame.camera.x_wc.rotation;
-    let (x, y) = ((u - 0.5).floor(), (v - 0.5).floor());
-    let (fx, fy) = (u - 0.5 - x, v - 0.5 - y);
-    let gate = config.tolerance_m(&frame.depth_noise, z);
-    // Computed on demand: most frames do not see the surface.
-    let mut precision_and_direction = None;
-    for (dx, dy, share) in
-        [(0, 0, (1.0 - fx) * (1.0 - fy)), (1, 0, fx * (1.0 - fy)), (0, 1, (1.0 - fx) * fy), (1, 1, fx * fy)]
-    {
-        let (px, py) = (x as i64 + dx, y as i64 + dy);
-        let Some(&depth) = frame.depth.get(px, py) else { continue };
-        let normal_c = frame.normal_c[(px as usize, py as usize)];
-        if depth <= 0.0 || normal_c == [0.0; 3] || (f64::from(depth) - z).abs() > gate {
-            continue;
-        }
-        let (precision, to_camera) = *precision_and_direction.get_or_insert_with(|| {
-            (frame.depth_noise.sigma_m(z).powi(-2), (frame.camera.center_w() - center_w).normalize())
-        });
-        let normal_w = rotation_wc * DVec3::from_array(normal_c.map(f64::from));
-        let cosine = normal_w.dot(axis_w);
-        if normal_w.dot(to_camera) < config.seeding.min_cosine || cosine.abs() < SAME_SURFACE_COSINE {
-            continue;
-        }
-        let measured_w = frame.camera.unproject_pixel(px as usize, py as usize, f64::from(depth));
-        let weight = share * precision;
-        let side = &mut sides[usize::from(cosine < 0.0)];
-        side.offset += weight * axis_w.dot(measured_w - center_w);
-        side.weight += weight;
-        side.normal_w += normal_w * weight;
+/// Returns the disc of a Gaussian: its normal is the shortest axis.
+fn surfel_of(row: &Row) -> Surfel {
+    let axis = (0..3).min_by(|&a, &b| row.0[LOG_SCALE + a].total_cmp(&row.0[LOG_SCALE + b])).unwrap_or(2);
+    Surfel {
+        p_w: Vec3::from_slice(&row.0[POSITION..]).as_dvec3(),
+        n_w: (Quat::from_slice(&row.0[ROTATION..]).as_dquat() * DVec3::AXES[axis]).normalize(),
+        ..Surfel::default()
     }
 }
 

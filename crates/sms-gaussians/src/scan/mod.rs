@@ -1,4 +1,4 @@
-//! The scan: seeding, the sequential schedule with replay and pruning, early stopping, checkpoint and exact resume,
+//! The scan: seeding, the sequential schedule with replay and pruning, the fused one, early stopping, checkpoint and exact resume,
 //! evaluation on held-out views, and the model as a `.ply` (paper, Section "Scan").
 //!
 //! All code in this module uses the [`Trainer`](crate::Trainer) trait and is shared by all back ends.
@@ -12,10 +12,10 @@ mod evaluate;
 mod frames;
 mod fusion;
 mod losses;
-mod nearby;
 mod observer;
 mod occupancy;
 mod pace;
+mod placement;
 mod ply;
 mod pruning;
 mod saving;
@@ -24,6 +24,7 @@ mod seeding;
 mod settings;
 mod so_far;
 mod stages;
+mod unmeasured;
 mod validate;
 mod views;
 
@@ -34,7 +35,7 @@ mod tests;
 #[cfg(test)]
 mod watched_tests;
 
-pub use config::{Preset, PruningConfig, ScanConfig, SeedingConfig, StopConfig};
+pub use config::{Preset, PruningConfig, ScanConfig, ScanOrder, SeedingConfig, StopConfig};
 pub use error::ScanError;
 pub use evaluate::ViewScore;
 pub use losses::LossSample;

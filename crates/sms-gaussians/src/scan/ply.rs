@@ -68,6 +68,7 @@ pub fn write_ply(model: &GaussianModel, path: &Path) -> Result<(), CoreError> {
                 "rot" => column(&|i| wxyz(model.rotations_wg[i])[k]),
                 "affinity" => column(&|i| model.affinities[i][k]),
                 "label" => column(&|i| f32::from(model.labels[i])),
+                "measured" => column(&|i| f32::from(u8::from(model.is_measured(i)))),
                 _ => column(&|i| model.label_confidence[i]),
             };
             (name.as_str(), values)
@@ -81,7 +82,7 @@ fn property_names() -> Vec<String> {
     let standard = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"];
     let shape = ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
     let affinities = (0..AFFINITY_DIM).map(|k| format!("affinity_{k}"));
-    let own = ["label", "confidence"].map(str::to_owned);
+    let own = ["label", "confidence", "measured"].map(str::to_owned);
     standard.into_iter().chain(shape).map(str::to_owned).chain(affinities).chain(own).collect()
 }
 
@@ -120,6 +121,9 @@ pub fn read_ply(path: &Path) -> Result<GaussianModel, CoreError> {
         .map(|_| columns(&table, path, affinity_names.each_ref().map(String::as_str)))
         .transpose()?;
     let (labels, confidence) = (table.column("label"), table.column("confidence"));
+    if let Some(measured) = table.column("measured").filter(|m| m.contains(&0.0)) {
+        model.measured = measured.iter().map(|m| *m != 0.0).collect();
+    }
     for i in 0..table.len {
         model.positions_w.push(Vec3::from_array(positions.map(|c| c[i] as f32)));
         model.colors.push(colors.map(|c| 0.5 + SH_C0 * c[i] as f32));
@@ -258,11 +262,13 @@ mod tests {
         let standard =
             "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
         let names = standard.split(' ').map(str::to_owned);
-        let own = (0..16).map(|k| format!("affinity_{k}")).chain(["label".into(), "confidence".into()]);
+        let own = (0..16)
+            .map(|k| format!("affinity_{k}"))
+            .chain(["label", "confidence", "measured"].map(String::from));
         names.chain(own).for_each(|n| expected.push_str(&format!("property float {n}\n")));
         expected.push_str("end_header\n");
         assert_eq!(std::str::from_utf8(&bytes[..end]).unwrap(), expected);
-        assert_eq!(bytes.len() - end, 2 * 35 * 4);
+        assert_eq!(bytes.len() - end, 2 * 36 * 4);
     }
 
     #[test]

@@ -1,5 +1,6 @@
-//! The sequential schedule (paper, Section "Scan"): frame after frame is seeded and optimised while earlier frames
-//! are replayed, then all frames are refined together.
+//! The schedules: `sequential` (paper, Section "Scan"), where frame after frame is seeded and optimised while earlier frames
+//! are replayed and then all frames are refined together; and `fused`, where all frames are fused into one surface first and the
+//! Gaussians on it are refined together at once.
 
 mod reporting;
 
@@ -7,7 +8,7 @@ use self::reporting::UnreportedSlot;
 use super::ScanError;
 use super::background::background_color;
 use super::checkpoint::{self, FoundCheckpoint, SchedulePosition};
-use super::config::{ScanConfig, StopConfig};
+use super::config::{ScanConfig, ScanOrder, StopConfig};
 use super::consensus::correct_labels;
 use super::evaluate::ViewScore;
 use super::frames::{check_inputs, train_frame};
@@ -15,12 +16,14 @@ use super::fusion::fuse;
 use super::losses::{LossSample, stalled};
 use super::observer::{ScanObserver, ScanResumed};
 use super::pace::Pace;
+use super::placement::place;
 use super::pruning::{prune_all, prune_transparent};
 use super::saving::Saver;
 use super::seeding::{AffinityCodes, seed_frame, shuffle};
 use super::settings::{SettingsHash, settings_hash};
 use super::so_far::SoFar;
 use super::stages::StageSeconds;
+use super::unmeasured::seed_unmeasured;
 use crate::{FrameId, GaussianModel, StepBatch, StepStats, Trainer, TrainerError};
 use glamx::Vec3;
 use rand::RngExt;
@@ -80,7 +83,8 @@ pub fn scan(
     trainer.set_background(background);
     let mut stages = StageSeconds::default();
     stages.add("background", began);
-    let limits = (0..=trained.len()).map(|slot| slot_limit(config, slot, trained.len())).collect();
+    let frames = trained.len();
+    let limits = (0..=frames).map(|slot| slot_limit(config, slot, frames)).collect();
     std::thread::scope(|scope| {
         let hash = scope.spawn(move || settings_hash(sequence, labels, config, seed, background));
         let mut schedule = Schedule {
@@ -94,7 +98,7 @@ pub fn scan(
             ids: Vec::with_capacity(trained.len()),
             positions_w: None,
             trained,
-            place: SchedulePosition::default(),
+            place: SchedulePosition { slot: config.first_slot(frames), ..SchedulePosition::default() },
             pace: Pace::new(limits, sequence.len()),
             last_psnr_db: None,
             unreported: None,
@@ -115,7 +119,7 @@ pub fn scan(
 /// Returns the greatest number of steps of a slot; the one after the last frame is the refinement.
 fn slot_limit(config: &ScanConfig, slot: usize, frames: usize) -> usize {
     match slot {
-        _ if slot == frames => config.final_steps,
+        _ if slot == frames => config.last_steps(),
         0 => config.steps_first,
         _ => config.steps_frame,
     }
@@ -217,6 +221,7 @@ impl Schedule<'_> {
             self.place = SchedulePosition {
                 slot: self.place.slot + 1,
                 total_steps: self.place.total_steps,
+                measured: self.place.measured,
                 losses: std::mem::take(&mut self.place.losses),
                 ..SchedulePosition::default()
             };
@@ -268,7 +273,7 @@ impl Schedule<'_> {
             self.stages.add("steps", before);
             if !self.place.pruned_midway && 2 * self.place.step >= limit {
                 let began = Instant::now();
-                prune_transparent(self.trainer, self.config);
+                self.prune_transparent();
                 self.place.pruned_midway = true;
                 self.stages.add("pruning", began);
             }
@@ -279,8 +284,12 @@ impl Schedule<'_> {
             None => &self.trained,
         };
         let seen: Vec<&Frame> = seen.iter().map(|&i| &self.sequence.frames[i]).collect();
-        let least = usize::from(self.is_refinement());
-        self.positions_w = Some(prune_all(self.trainer, &seen, least, self.config));
+        if self.config.schedule == ScanOrder::Fused {
+            self.prune_transparent();
+        } else {
+            let least = usize::from(self.is_refinement());
+            self.positions_w = Some(prune_all(self.trainer, &seen, least, self.config));
+        }
         self.stages.add("pruning", pruning);
         if self.is_refinement() {
             self.fuse_all()?;
@@ -289,6 +298,14 @@ impl Schedule<'_> {
         let beside_s = began.elapsed().as_secs_f64() - stepping_s;
         self.pace.finished(self.place.slot, self.place.step, Some(beside_s));
         Ok(())
+    }
+
+    fn prune_transparent(&mut self) {
+        let keep = prune_transparent(self.trainer, self.config);
+        if let Some(measured) = &mut self.place.measured {
+            *measured = keep[..*measured].iter().filter(|keep| **keep).count();
+        }
+        self.positions_w = None;
     }
 
     /// Makes geometry and labels consistent with all frames.
@@ -301,7 +318,8 @@ impl Schedule<'_> {
         self.positions_w = None;
         if config.fuse_depth || config.correct_labels {
             self.trainer.edit(&mut |parameters| {
-                if config.fuse_depth {
+                // With the schedule `fused`, nothing moves after colours were trained.
+                if config.fuse_depth && config.schedule == ScanOrder::Sequential {
                     fuse(parameters, &frames, config);
                 }
                 if config.correct_labels {
@@ -313,6 +331,35 @@ impl Schedule<'_> {
         Ok(())
     }
 
+    /// Fuses all frames into one surface and places Gaussians on it.
+    fn place_all(&mut self) -> Result<(), ScanError> {
+        let began = Instant::now();
+        let labelled: Vec<_> =
+            self.trained.iter().map(|&i| (&self.sequence.frames[i], &self.labels.maps[i])).collect();
+        let frames: Vec<&Frame> = labelled.iter().map(|(frame, _)| *frame).collect();
+        let surfels =
+            sms_surface::fuse(&frames, &self.config.surface(), self.seed.derive("surface"), self.cancel)?;
+        self.stages.add("fusion", began);
+        let began = Instant::now();
+        let seed = self.seed.derive("placement");
+        let seedlings = place(&surfels, &labelled, &self.codes, self.config, seed);
+        self.trainer.insert(&seedlings);
+        if self.config.seeding.unmeasured {
+            self.place.measured = Some(seedlings.len());
+            for (slot, (frame, labels)) in labelled.iter().enumerate() {
+                self.cancel.check()?;
+                let rendered = self.trainer.render(&frame.camera);
+                let seed = self.seed.derive_index("unmeasured", slot as u64);
+                let labels = (*labels, &self.codes);
+                let seedlings = seed_unmeasured(frame, labels, &rendered, &frames, self.config, seed);
+                self.trainer.recycle(rendered);
+                self.trainer.insert(&seedlings);
+            }
+        }
+        self.stages.add("seeding", began);
+        Ok(())
+    }
+
     /// Starts a slot, once: new Gaussians for a frame, fused depth for the refinement.
     fn seed_slot(&mut self) -> Result<(), ScanError> {
         if std::mem::replace(&mut self.place.seeded, true) {
@@ -320,7 +367,10 @@ impl Schedule<'_> {
         }
         let Some(&index) = self.trained.get(self.place.slot) else {
             self.report_slot();
-            return self.fuse_all();
+            return match self.config.schedule {
+                ScanOrder::Fused => self.place_all(),
+                ScanOrder::Sequential => self.fuse_all(),
+            };
         };
         let frame = &self.sequence.frames[index];
         let began = Instant::now();
@@ -422,7 +472,7 @@ impl Schedule<'_> {
     fn batch_at(&self, step: usize) -> StepBatch {
         let mut rates = self.config.train.rates;
         if self.is_refinement() {
-            let done = step as f32 / self.config.final_steps.max(1) as f32;
+            let done = step as f32 / self.config.last_steps().max(1) as f32;
             rates = rates.scaled(self.config.final_decay.powf(done.min(1.0)));
         }
         let (own, replayed) = self.batch_frames(step);

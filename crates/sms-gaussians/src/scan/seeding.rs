@@ -10,11 +10,12 @@
 use super::config::ScanConfig;
 use super::occupancy::HashGrid;
 use crate::{AFFINITY_DIM, RenderedMaps, Seedling};
-use glamx::{DMat3, DQuat, DVec3, Quat, Vec3};
+use glamx::{DMat3, DQuat, DVec3, Vec3};
 use rand::RngExt;
 use rayon::prelude::*;
-use sms_core::{Camera, LabelMap, Seed, StageRng};
+use sms_core::{LabelMap, Seed, StageRng};
 use sms_frames::Frame;
+use sms_surface::{MeasuredPoint, SurfaceConfig, Surfel, measured_point};
 
 /// Standard deviation of the components of a label's common affinity.
 const CODE_SIGMA: f32 = 0.5;
@@ -34,7 +35,13 @@ impl AffinityCodes {
         Self((0..classes).map(code).collect())
     }
 
-    fn draw(&self, label: u16, rng: &mut StageRng) -> [f32; AFFINITY_DIM] {
+    /// Returns the number of labels.
+    pub(crate) fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Returns an affinity of a label.
+    pub(crate) fn draw(&self, label: u16, rng: &mut StageRng) -> [f32; AFFINITY_DIM] {
         let code = self.0.get(usize::from(label)).copied().unwrap_or_default();
         code.map(|c| c + AFFINITY_SIGMA * normal_draw(rng))
     }
@@ -51,59 +58,58 @@ pub(crate) fn seed_frame(
     config: &ScanConfig,
     seed: Seed,
 ) -> Vec<Seedling> {
-    let settings = &config.seeding;
-    let k = frame.camera.intrinsics;
+    let surface = config.surface();
     let mut rng = seed.derive("order").rng();
-    let candidates = candidates(frame, rendered, config);
-    let spacing = |i: usize, edge: bool| {
-        let px = settings.spacing_px * if edge { settings.edge_spacing } else { 1.0 };
-        px * k.pixel_footprint(f64::from(frame.depth.data[i]))
-    };
-    let radius = |spacing_m: f64| spacing_m.max(settings.radius_m) as f32;
-    let widest = candidates
-        .par_iter()
-        .map(|&i| radius(spacing(i, true).max(spacing(i, false))))
-        .reduce(|| 0.0, f32::max);
+    let candidates = candidates(frame, rendered, config, &surface);
+    let radius = |point: &MeasuredPoint| point.spacing_m.max(config.seeding.radius_m) as f32;
+    let widest = candidates.par_iter().map(|(_, point)| radius(point)).reduce(|| 0.0, f32::max);
     let order = || {
-        let (mut edges, mut others): (Vec<usize>, Vec<usize>) =
-            candidates.into_par_iter().partition(|&i| is_edge(frame, i, config));
+        let (mut edges, mut others): (Vec<_>, Vec<_>) =
+            candidates.into_par_iter().partition(|(_, point)| point.is_edge);
         shuffle(&mut edges, &mut rng);
         shuffle(&mut others, &mut rng);
-        let edges = edges.into_iter().map(|i| (i, spacing(i, true)));
-        edges.chain(others.into_iter().map(|i| (i, spacing(i, false)))).collect::<Vec<(usize, f64)>>()
+        edges.append(&mut others);
+        edges
     };
     let (existing, tries) = rayon::join(|| HashGrid::of(widest, positions_w), order);
-    let surfaces: Vec<Option<SeedSurface>> = tries
-        .par_iter()
-        .map(|&(i, spacing_m)| {
-            let surface = surface_at(frame, i, config);
-            (!existing.any_within(surface.point_w.as_vec3(), radius(spacing_m))).then_some(surface)
-        })
-        .collect();
+    let is_free: Vec<bool> =
+        tries.par_iter().map(|(_, point)| !existing.any_within(point.p_w.as_vec3(), radius(point))).collect();
 
     let mut taken = HashGrid::new(widest);
     let mut affinity_rng = seed.derive("affinity").rng();
     let mut seedlings = Vec::new();
-    for ((i, spacing_m), surface) in tries.into_iter().zip(surfaces) {
+    for ((i, point), _) in tries.into_iter().zip(is_free).filter(|(_, is_free)| *is_free) {
         if seedlings.len() == room {
             break;
         }
-        let Some(surface) = surface else { continue };
-        let position_w = surface.point_w.as_vec3();
-        if taken.any_within(position_w, radius(spacing_m)) {
+        let position_w = point.p_w.as_vec3();
+        if taken.any_within(position_w, radius(&point)) {
             continue;
         }
         taken.insert(position_w);
-        let pitch = k.pixel_footprint(surface.z);
         let affinity = codes.draw(labels.data[i], &mut affinity_rng);
-        seedlings.push(disc(frame, i, &surface, spacing_m, pitch, affinity, config));
+        let color = frame.color.data[i].map(|c| f32::from(c) / 255.0);
+        let element = Surfel {
+            p_w: point.p_w,
+            n_w: point.n_w,
+            spacing_m: point.spacing_m,
+            to_camera_w: (frame.camera.center_w() - point.p_w).normalize(),
+            pitch_m: point.pitch_m(&surface),
+            ..Surfel::default()
+        };
+        seedlings.push(disc(&element, color, affinity, config));
     }
     seedlings
 }
 
 /// Returns the pixels, in row order, with depth and a normal, and without a steep slant, that the Gaussians do not
 /// explain.
-fn candidates(frame: &Frame, rendered: Option<&RenderedMaps>, config: &ScanConfig) -> Vec<usize> {
+fn candidates(
+    frame: &Frame,
+    rendered: Option<&RenderedMaps>,
+    config: &ScanConfig,
+    surface: &SurfaceConfig,
+) -> Vec<(usize, MeasuredPoint)> {
     let unexplained = |i: usize, depth: f32| {
         rendered.is_none_or(|maps| {
             let behind =
@@ -111,111 +117,33 @@ fn candidates(frame: &Frame, rendered: Option<&RenderedMaps>, config: &ScanConfi
             maps.alpha[i] < config.seeding.alpha_below || behind
         })
     };
-    let seen = |i: usize| {
-        let normal_c = DVec3::from_array(frame.normal_c.data[i].map(f64::from));
-        let cosine = -normal_c.dot(ray_c(&frame.camera, i).normalize());
-        normal_c.length_squared() > 0.5 && cosine >= config.seeding.min_cosine
-    };
     let depths = frame.depth.data.par_iter().enumerate();
-    depths.filter(|&(i, &depth)| depth > 0.0 && unexplained(i, depth) && seen(i)).map(|(i, _)| i).collect()
+    depths
+        .filter(|&(i, &depth)| depth > 0.0 && unexplained(i, depth))
+        .filter_map(|(i, _)| Some((i, measured_point(frame, i, surface)?)))
+        .filter(|(_, point)| point.cosine >= surface.min_cosine)
+        .collect()
 }
 
-/// Returns the ray through pixel `i` in the camera frame, with z = 1.
-fn ray_c(camera: &Camera, i: usize) -> DVec3 {
-    let k = &camera.intrinsics;
-    let (x, y) = ((i % k.width) as f64 + 0.5, (i / k.width) as f64 + 0.5);
-    DVec3::new((x - k.cx) / k.fx, (y - k.cy) / k.fy, 1.0)
-}
-
-/// Whether brightness changes fast at pixel `i` (Sobel), or depth jumps beside it.
-fn is_edge(frame: &Frame, i: usize, config: &ScanConfig) -> bool {
-    let (width, height) = frame.color.size();
-    let (x, y) = ((i % width) as i64, (i / width) as i64);
-    let luma = |dx: i64, dy: i64| {
-        let (x, y) = ((x + dx).clamp(0, width as i64 - 1), (y + dy).clamp(0, height as i64 - 1));
-        let [r, g, b] = frame.color[(x as usize, y as usize)].map(f32::from);
-        (0.299 * r + 0.587 * g + 0.114 * b) / 255.0
-    };
-    let gx = luma(1, -1) + 2.0 * luma(1, 0) + luma(1, 1) - luma(-1, -1) - 2.0 * luma(-1, 0) - luma(-1, 1);
-    let gy = luma(-1, 1) + 2.0 * luma(0, 1) + luma(1, 1) - luma(-1, -1) - 2.0 * luma(0, -1) - luma(1, -1);
-    if gx.hypot(gy) / 8.0 > config.seeding.edge_threshold {
-        return true;
-    }
-    let z = frame.depth.data[i];
-    let jump = config.tolerance_m(&frame.depth_noise, f64::from(z)) as f32;
-    [(1, 0), (-1, 0), (0, 1), (0, -1)]
-        .into_iter()
-        .filter_map(|(dx, dy)| frame.depth.get(x + dx, y + dy))
-        .any(|&other| other > 0.0 && (other - z).abs() > jump)
-}
-
-/// The measured surface at a pixel.
-struct SeedSurface {
-    point_w: DVec3,
-    normal_w: DVec3,
-    /// Depth, metres.
-    z: f64,
-    /// Cosine between the normal and the direction to the camera.
-    cosine: f64,
-}
-
-/// Returns the surface at pixel `i`. Its point is moved along the ray onto the mean of the 3 × 3 neighbours within the
-/// noise of the tangent plane. A wider window would cut into curved surfaces: on a ball of 30 mm radius seen at 2 mm
-/// per pixel, 3 × 3 lies 0.1 mm too deep and 5 × 5 0.3 mm.
-fn surface_at(frame: &Frame, i: usize, config: &ScanConfig) -> SeedSurface {
-    let (width, z) = (frame.depth.width, f64::from(frame.depth.data[i]));
-    let normal_c = DVec3::from_array(frame.normal_c.data[i].map(f64::from)).normalize();
-    let ray = ray_c(&frame.camera, i);
-    let slope = -normal_c.dot(ray);
-    let gate = config.seeding.tolerance_sigmas * frame.depth_noise.sigma_m(z) * slope.max(0.1);
-    let (mut sum, mut count) = (0.0, 0.0);
-    for dy in -1..=1i64 {
-        for dx in -1..=1i64 {
-            let (x, y) = ((i % width) as i64 + dx, (i / width) as i64 + dy);
-            let Some(&neighbor) = frame.depth.get(x, y) else { continue };
-            let neighbor_ray = ray_c(&frame.camera, (y as usize) * width + x as usize);
-            let offset = normal_c.dot(neighbor_ray * f64::from(neighbor) - ray * z);
-            if neighbor > 0.0 && offset.abs() <= gate {
-                sum += offset;
-                count += 1.0;
-            }
-        }
-    }
-    // Moving by δ along the ray changes n·p by −δ·slope; the centre pixel always counts.
-    let depth = z - sum / f64::max(count, 1.0) / slope.max(0.1);
-    SeedSurface {
-        point_w: frame.camera.x_wc.transform_point(ray * depth),
-        normal_w: frame.camera.x_wc.rotation * normal_c,
-        z: depth,
-        cosine: slope / ray.length(),
-    }
-}
-
-fn disc(
-    frame: &Frame,
-    i: usize,
-    surface: &SeedSurface,
-    spacing_m: f64,
-    pitch_m: f64,
+/// Returns the Gaussian of an element of the surface.
+pub(crate) fn disc(
+    surfel: &Surfel,
+    color: [f32; 3],
     affinity: [f32; AFFINITY_DIM],
     config: &ScanConfig,
 ) -> Seedling {
-    let settings = &config.seeding;
-    let normal = surface.normal_w;
-    let to_camera = (frame.camera.center_w() - surface.point_w).normalize();
+    let (settings, normal) = (&config.seeding, surfel.n_w);
     // First axis: the direction in which the surface recedes, along which pixels lie farther apart.
-    let receding = to_camera - normal * normal.dot(to_camera);
+    let receding = surfel.to_camera_w - normal * normal.dot(surfel.to_camera_w);
     let first = if receding.length() > 1e-3 { receding.normalize() } else { normal.any_orthonormal_vector() };
-    let rotation_wg: Quat = DQuat::from_mat3(&DMat3::from_cols(first, normal.cross(first), normal)).as_quat();
-    let sigma = settings.sigma_of_spacing * spacing_m;
-    let stretched = settings.sigma_of_spacing * pitch_m / surface.cosine.max(settings.min_cosine);
-    let scale = DVec3::new(sigma.max(stretched), sigma, settings.thickness * sigma);
+    let sigma = settings.sigma_of_spacing * surfel.spacing_m;
+    let stretched = settings.sigma_of_spacing * surfel.pitch_m;
     Seedling {
-        position_w: surface.point_w.as_vec3(),
-        rotation_wg,
-        scale: scale.as_vec3(),
+        position_w: surfel.p_w.as_vec3(),
+        rotation_wg: DQuat::from_mat3(&DMat3::from_cols(first, normal.cross(first), normal)).as_quat(),
+        scale: DVec3::new(sigma.max(stretched), sigma, settings.thickness * sigma).as_vec3(),
         opacity: settings.opacity,
-        color: frame.color.data[i].map(|c| f32::from(c) / 255.0),
+        color,
         affinity,
     }
 }

@@ -1,6 +1,6 @@
 //! The scan as a whole on the analytic recording: exact resume, threads, quality.
 
-use super::config::{Preset, ScanConfig};
+use super::config::{Preset, ScanConfig, ScanOrder};
 use super::fixture::{self, BALL, BOX, SMALL, record, signed_distance_m};
 use super::ply::read_ply;
 use super::schedule::{ScanResult, scan};
@@ -13,6 +13,7 @@ use crate::{
 use glamx::Vec3;
 use sms_core::{Camera, Cancel, CoreError, Labels, Seed, StageContext, Warnings};
 use sms_frames::Sequence;
+use sms_surface::{PointVisibility, visibility};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
@@ -20,8 +21,13 @@ pub(super) const SEED: Seed = Seed(5);
 
 /// Few steps, for many runs; every part of the schedule occurs.
 pub(super) fn quick() -> ScanConfig {
-    let mut config =
-        ScanConfig { steps_first: 40, steps_frame: 20, final_steps: 20, ..ScanConfig::default() };
+    let mut config = ScanConfig {
+        fused_steps: 200,
+        steps_first: 40,
+        steps_frame: 20,
+        final_steps: 20,
+        ..ScanConfig::default()
+    };
     config.seeding.spacing_px = 4.0;
     config.holdout = 4;
     config
@@ -123,22 +129,46 @@ fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
 }
 
+/// The recording with a patch without depth.
+fn record_with_hole() -> (Sequence, Labels) {
+    let (mut sequence, labels) = record(SMALL);
+    for frame in &mut sequence.frames {
+        for y in 10..30 {
+            for x in 10..40 {
+                frame.depth[(x, y)] = 0.0;
+                frame.normal_c[(x, y)] = [0.0; 3];
+            }
+        }
+    }
+    (sequence, labels)
+}
+
 #[test]
 fn stopped_or_killed_anywhere_and_resumed_ends_with_the_same_bytes_on_one_and_two_threads() {
-    let recording = record(SMALL);
-    let config = quick();
+    stop_kill_and_resume(&ScanConfig { schedule: ScanOrder::Sequential, ..quick() });
+}
+
+#[test]
+fn a_fused_scan_stopped_or_killed_anywhere_and_resumed_ends_with_the_same_bytes() {
+    let mut config = ScanConfig { schedule: ScanOrder::Fused, ..quick() };
+    config.stop.enabled = false;
+    stop_kill_and_resume(&config);
+}
+
+fn stop_kill_and_resume(config: &ScanConfig) {
+    let recording = record_with_hole();
     let undisturbed = tempfile::tempdir().unwrap();
     let warnings = Warnings::new();
-    with_threads(1, || run(&recording, &config, undisturbed.path(), None, &warnings)).unwrap();
+    with_threads(1, || run(&recording, config, undisturbed.path(), None, &warnings)).unwrap();
     let expected = bytes(undisturbed.path());
 
     let stopped = tempfile::tempdir().unwrap();
     with_threads(2, || {
         for at in [1, 3, 6, 2, 7] {
-            let result = run(&recording, &config, stopped.path(), Some(Disturbance::Cancel(at)), &warnings);
+            let result = run(&recording, config, stopped.path(), Some(Disturbance::Cancel(at)), &warnings);
             assert!(matches!(result, Err(ScanError::Core(CoreError::Interrupted))), "at {at}");
         }
-        run(&recording, &config, stopped.path(), None, &warnings).unwrap();
+        run(&recording, config, stopped.path(), None, &warnings).unwrap();
     });
     assert_eq!(bytes(stopped.path()), expected, "stopped");
 
@@ -212,10 +242,23 @@ fn surface_error_m(model: &GaussianModel, label: u16) -> (f64, f64, usize) {
     (distances.iter().sum::<f64>() / n, distances.iter().map(|d| d.abs()).sum::<f64>() / n, distances.len())
 }
 
+/// Greatest bias and mean distance of the Gaussians of each label from the true surface, metres.
+type SurfaceErrors = [(u16, f64, f64); 3];
+/// Positions settle again at the end of the sequential schedule.
+const SEQUENTIAL_M: SurfaceErrors = [(0, 5e-5, 4e-4), (BALL, 1.5e-4, 3e-4), (BOX, 1e-4, 3e-4)];
+/// With the fused schedule, colour has moved them last.
+const FUSED_M: SurfaceErrors = [(0, 1e-4, 4e-4), (BALL, 5e-4, 5e-4), (BOX, 1e-4, 3e-4)];
+
 #[test]
 fn the_standard_preset_reconstructs_the_recording() {
+    for (schedule, most) in [(ScanOrder::Fused, FUSED_M), (ScanOrder::Sequential, SEQUENTIAL_M)] {
+        reconstruct(ScanConfig { schedule, ..ScanConfig::preset(Preset::Standard) }, most);
+    }
+}
+
+fn reconstruct(mut config: ScanConfig, most: SurfaceErrors) {
+    println!("{:?}", config.schedule);
     let (sequence, labels) = record(SMALL);
-    let mut config = ScanConfig::preset(Preset::Standard);
     config.holdout = 3;
     let dir = tempfile::tempdir().unwrap();
     let result = run(&(sequence.clone(), labels), &config, dir.path(), None, &Warnings::new()).unwrap();
@@ -230,7 +273,7 @@ fn the_standard_preset_reconstructs_the_recording() {
     assert!(metric("scan.holdout_depth_mae_m") < 0.0016 && metric("scan.holdout_depth_median_m") < 0.001);
     assert!(metric("scan.holdout_miou") > 0.96 && metric("scan.holdout_coverage") > 0.97);
     // The Gaussians lie on the surface without bias: noise is 1 mm per frame.
-    for (label, bias, distance) in [(0, 5e-5, 4e-4), (BALL, 1.5e-4, 3e-4), (BOX, 1e-4, 3e-4)] {
+    for (label, bias, distance) in most {
         let (mean, magnitude, count) = surface_error_m(model, label);
         assert!(
             mean.abs() < bias && magnitude < distance && count > 50,
@@ -260,6 +303,49 @@ fn the_standard_preset_reconstructs_the_recording() {
     let ball = views[0].label.data.iter().filter(|&&l| l == BALL).count();
     let truth = fixture::record(SMALL).1.maps[2].data.iter().filter(|&&l| l == BALL).count();
     assert!(ball.abs_diff(truth) < truth / 8, "{ball} of {truth}");
+}
+
+#[test]
+fn gaussians_fill_what_has_no_depth_and_are_marked() {
+    // The floor under the patch is measured by other frames; a corner of the recording is measured by none.
+    let (mut sequence, labels) = record(SMALL);
+    for frame in &mut sequence.frames {
+        for y in 0..SMALL.height {
+            for x in 0..SMALL.width {
+                let p_w = frame.camera.unproject_pixel(x, y, f64::from(frame.depth[(x, y)]));
+                if p_w.x > 0.05 && p_w.z < 0.002 {
+                    frame.depth[(x, y)] = 0.0;
+                    frame.normal_c[(x, y)] = [0.0; 3];
+                }
+            }
+        }
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let mut config = ScanConfig { schedule: ScanOrder::Fused, ..quick() };
+    config.stop.enabled = false;
+    let recording = (sequence, labels);
+    let of = |config: &ScanConfig| run(&recording, config, dir.path(), None, &Warnings::new()).unwrap();
+    let filled = of(&config);
+    let read = read_ply(&dir.path().join("scene.ply")).unwrap();
+    assert_eq!(read.measured, filled.model.measured);
+    let model = &filled.model;
+    let unmeasured: Vec<usize> = (0..model.len()).filter(|&i| !model.is_measured(i)).collect();
+    assert!(unmeasured.len() > 50 && unmeasured.len() < model.len() / 2);
+    // None lies where a frame saw through.
+    let tolerance = config.surface().tolerance;
+    let trained = recording.0.trained(config.holdout);
+    for &i in &unmeasured {
+        let sight = |&f: &usize| {
+            visibility(&recording.0.frames[f], filled.model.positions_w[i].as_dvec3(), &tolerance)
+        };
+        assert!(!trained.iter().map(sight).any(|s| s == PointVisibility::Through), "{i}");
+    }
+    config.seeding.unmeasured = false;
+    let bare = of(&config);
+    assert!(bare.model.measured.is_empty());
+    let psnr = |result: &ScanResult| result.metrics.number("scan.holdout_psnr_db").unwrap();
+    println!("{} and {} dB", psnr(&bare), psnr(&filled));
+    assert!(psnr(&filled) > psnr(&bare) + 0.5);
 }
 
 #[test]

@@ -13,6 +13,7 @@ impl ScanConfig {
         let r = Ranges::of("scan");
         let (seeding, pruning, stop) = (&self.seeding, &self.pruning, &self.stop);
         for (key, value, low, high) in [
+            ("fused_steps", self.fused_steps, 0, 100_000_000),
             ("steps_first", self.steps_first, 0, 10_000_000),
             ("steps_frame", self.steps_frame, 0, 10_000_000),
             ("final_steps", self.final_steps, 0, 100_000_000),

@@ -122,8 +122,11 @@ impl Schedule<'_> {
         train_views.sort_by_key(|v| v.frame_index);
 
         let began = Instant::now();
-        let model = self.trainer.model();
+        let mut model = self.trainer.model();
         self.check_device()?;
+        if let Some(measured) = self.place.measured {
+            model.measured = (0..model.len()).map(|i| i < measured).collect();
+        }
         atomic::write_json(&work_dir.join("losses.json"), &self.place.losses)?;
         atomic::write_json(&work_dir.join("views.json"), &train_views)?;
         write_ply(&model, &work_dir.join("scene.ply"))?;

@@ -15,7 +15,7 @@ const CELLS: f32 = 1024.0;
 
 /// Maps the points by `of_group`, which receives the indices of a group of nearby points and returns a value for each.
 /// The values are returned in the order of the points.
-pub(crate) fn map_nearby<T: Send + Clone + Default>(
+pub fn map_nearby<T: Send + Clone + Default>(
     positions_w: &[Vec3],
     of_group: impl Fn(&[u32]) -> Vec<T> + Sync,
 ) -> Vec<T> {

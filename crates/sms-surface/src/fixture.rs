@@ -1,0 +1,34 @@
+//! Frames of a plane in closed form.
+
+use crate::{SurfaceConfig, SurfaceTolerance};
+use glamx::DVec3;
+use sms_core::{Camera, Image, Intrinsics};
+use sms_frames::{DepthNoise, Frame};
+
+/// The settings of the scan.
+pub(crate) fn config() -> SurfaceConfig {
+    SurfaceConfig {
+        tolerance: SurfaceTolerance { min_m: 0.005, sigmas: 3.0 },
+        spacing_px: 2.5,
+        edge_spacing: 0.5,
+        edge_threshold: 0.08,
+        min_cosine: 0.1,
+    }
+}
+
+/// A camera at `eye_z_m` on the z axis that looks at the origin and measures a plane at height `surface_z_m`.
+pub(crate) fn facing_plane(eye_z_m: f64, surface_z_m: f64) -> Frame {
+    let k = Intrinsics::from_fov(64, 40, 0.5);
+    let camera = Camera::look_at(k, DVec3::Z * eye_z_m, DVec3::ZERO, DVec3::Y);
+    Frame {
+        depth_noise: DepthNoise::default(),
+        index: 0,
+        time_s: None,
+        camera,
+        color: Image::filled(64, 40, [0; 3]),
+        depth: Image::filled(64, 40, (eye_z_m - surface_z_m).abs() as f32),
+        normal_c: Image::filled(64, 40, [0.0, 0.0, -1.0]),
+        color_path: "".into(),
+        mask_path: None,
+    }
+}

@@ -1,0 +1,176 @@
+//! Growth of the surface by one frame: elements are added where it measures what no element covers.
+
+use crate::config::SurfaceConfig;
+use crate::point::{MeasuredPoint, measured_point};
+use crate::surfel::{SeedPixel, Surfel};
+use rand::RngExt;
+use rayon::prelude::*;
+use sms_core::{Seed, StageRng};
+use sms_frames::Frame;
+
+/// A frame adds elements to a surface that others cover if its own are denser by this factor.
+const FINER: f64 = 2.0;
+
+/// Adds elements for the pixels of `frame` that no element covers. Pixels are tried in random order, those on edges first.
+/// `slot` is the position of the frame among those that are fused.
+///
+/// An element covers the measured points that lie within its distance to its neighbours in its plane, and within the tolerance
+/// of its plane, if it faces the camera. Normals are not compared: those of single pixels are too noisy.
+pub fn grow(surfels: &mut Vec<Surfel>, frame: &Frame, slot: usize, config: &SurfaceConfig, seed: Seed) {
+    let mut pixels = FramePoints::of(frame, config);
+    let seen: Vec<Option<(usize, usize)>> =
+        surfels.par_iter_mut().with_min_len(256).map(|surfel| pixels.see(surfel)).collect();
+    for (surfel, place) in surfels.iter().zip(seen) {
+        if let Some((x, y)) = place {
+            pixels.cover(x, y, surfel);
+        }
+    }
+    let mut rng = seed.derive("order").rng();
+    let is_open =
+        |i: &usize| !pixels.covered[*i] && pixels.points[*i].is_some_and(|p| p.cosine >= config.min_cosine);
+    let is_edge = |i: &usize| pixels.points[*i].is_some_and(|p| p.is_edge);
+    let (mut edges, mut others): (Vec<usize>, Vec<usize>) =
+        (0..pixels.points.len()).filter(is_open).partition(is_edge);
+    shuffle(&mut edges, &mut rng);
+    shuffle(&mut others, &mut rng);
+    for i in edges.into_iter().chain(others) {
+        let Some(point) = pixels.points[i].filter(|_| !pixels.covered[i]) else { continue };
+        let surfel = Surfel {
+            p_w: point.p_w,
+            n_w: point.n_w,
+            spacing_m: point.spacing_m,
+            to_camera_w: (frame.camera.center_w() - point.p_w).normalize(),
+            pitch_m: point.pitch_m(config),
+            seed: SeedPixel { slot, pixel: i },
+        };
+        pixels.cover(i % pixels.width, i / pixels.width, &surfel);
+        surfels.push(surfel);
+    }
+}
+
+/// Fisher-Yates.
+fn shuffle(values: &mut [usize], rng: &mut StageRng) {
+    for i in (1..values.len()).rev() {
+        values.swap(i, rng.random_range(0..=i));
+    }
+}
+
+/// The measured surface of a frame, and the part of it that elements cover.
+struct FramePoints<'a> {
+    frame: &'a Frame,
+    config: &'a SurfaceConfig,
+    width: usize,
+    height: usize,
+    points: Vec<Option<MeasuredPoint>>,
+    covered: Vec<bool>,
+    /// Half the side of the square of pixels that an element can cover.
+    reach: usize,
+}
+
+impl<'a> FramePoints<'a> {
+    fn of(frame: &'a Frame, config: &'a SurfaceConfig) -> Self {
+        let (width, height) = frame.depth.size();
+        let pixels = (0..width * height).into_par_iter().with_min_len(1024);
+        let widest_px = FINER * config.spacing_px * config.edge_spacing.max(1.0);
+        Self {
+            frame,
+            config,
+            width,
+            height,
+            points: pixels.map(|i| measured_point(frame, i, config)).collect(),
+            covered: vec![false; width * height],
+            reach: widest_px.ceil() as usize + 1,
+        }
+    }
+
+    /// Returns the pixel of an element that faces the camera. If the frame resolves it better than those before, it is noted.
+    fn see(&self, surfel: &mut Surfel) -> Option<(usize, usize)> {
+        let camera = &self.frame.camera;
+        let (u, v, _) = camera.project(surfel.p_w)?;
+        let (x, y) = camera.pixel_at(u, v)?;
+        let to_camera_w = (camera.center_w() - surfel.p_w).normalize();
+        if surfel.n_w.dot(to_camera_w) <= 0.0 {
+            return None;
+        }
+        if let Some(point) = self.points[y * self.width + x].filter(|p| self.is_on(p, surfel)) {
+            let pitch_m = point.pitch_m(self.config);
+            if pitch_m < surfel.pitch_m {
+                (surfel.pitch_m, surfel.to_camera_w) = (pitch_m, to_camera_w);
+            }
+        }
+        Some((x, y))
+    }
+
+    /// Whether a point lies within the tolerance of the plane of an element, on the same side of a wall.
+    fn is_on(&self, point: &MeasuredPoint, surfel: &Surfel) -> bool {
+        let gate_m = self.config.tolerance.at(&self.frame.depth_noise, point.z_m);
+        point.n_w.dot(surfel.n_w) > 0.0 && (point.p_w - surfel.p_w).dot(surfel.n_w).abs() <= gate_m
+    }
+
+    /// Marks the points around pixel (x, y) that an element covers.
+    fn cover(&mut self, x: usize, y: usize, surfel: &Surfel) {
+        for j in y.saturating_sub(self.reach)..(y + self.reach + 1).min(self.height) {
+            for i in x.saturating_sub(self.reach)..(x + self.reach + 1).min(self.width) {
+                let pixel = j * self.width + i;
+                if let Some(point) = self.points[pixel].as_ref().filter(|_| !self.covered[pixel]) {
+                    let off = point.p_w - surfel.p_w;
+                    let along = off.dot(surfel.n_w);
+                    let most = surfel.spacing_m.clamp(point.spacing_m, FINER * point.spacing_m);
+                    self.covered[pixel] =
+                        off.length_squared() - along * along < most * most && self.is_on(point, surfel);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::{config, facing_plane};
+
+    #[test]
+    fn elements_cover_a_plane_at_the_spacing_of_its_pixels_and_a_second_view_adds_none() {
+        let (frame, config) = (facing_plane(0.5, 0.0), config());
+        let mut surfels = Vec::new();
+        grow(&mut surfels, &frame, 0, &config, Seed(1));
+        let spacing = config.spacing_px * frame.camera.intrinsics.pixel_footprint(0.5);
+        for (i, a) in surfels.iter().enumerate() {
+            assert!(a.p_w.z.abs() < 1e-7 && a.n_w.z > 0.999 && (a.spacing_m - spacing).abs() < 1e-7);
+            assert!(surfels[..i].iter().all(|b| b.p_w.distance(a.p_w) >= spacing));
+        }
+        // Random elements at least a distance apart cover about 0.7 of its square each (random sequential packing).
+        let area = frame.depth.data.len() as f64 * frame.camera.intrinsics.pixel_footprint(0.5).powi(2);
+        let packing = surfels.len() as f64 * spacing * spacing / area;
+        assert!((0.55..0.95).contains(&packing), "{packing}");
+        let before = surfels.clone();
+        grow(&mut surfels, &frame, 1, &config, Seed(2));
+        assert_eq!(surfels, before);
+    }
+
+    #[test]
+    fn a_closer_frame_adds_elements_once_it_is_finer_by_the_factor() {
+        let config = config();
+        let added = |eye_z_m: f64| {
+            let mut surfels = Vec::new();
+            grow(&mut surfels, &facing_plane(1.0, 0.0), 0, &config, Seed(1));
+            let before = surfels.len();
+            grow(&mut surfels, &facing_plane(eye_z_m, 0.0), 1, &config, Seed(2));
+            surfels.len() - before
+        };
+        // Between pixel centres of the first frame, few places are farther than the spacing from all elements.
+        let (coarser, finer) = (added(0.7), added(0.3));
+        assert!(finer > 100 && 4 * coarser < finer, "{coarser} {finer}");
+    }
+
+    #[test]
+    fn the_other_side_of_a_thin_wall_gets_elements_of_its_own() {
+        let config = config();
+        let mut surfels = Vec::new();
+        grow(&mut surfels, &facing_plane(0.5, 0.001), 0, &config, Seed(1));
+        let front = surfels.len();
+        grow(&mut surfels, &facing_plane(-0.5, -0.001), 1, &config, Seed(2));
+        assert!(surfels.len() > 3 * front / 2, "{front} {}", surfels.len());
+        assert!(surfels[front..].iter().all(|s| s.n_w.z < -0.999 && (s.p_w.z + 0.001).abs() < 1e-7));
+    }
+}
