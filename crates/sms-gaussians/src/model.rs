@@ -29,7 +29,7 @@ pub struct GaussianModel {
     /// The classifier.
     pub classifier: Classifier,
     /// Whether a frame measured a surface at each Gaussian; empty if all are on a measured surface. Others are placed by colour
-    /// alone, to fill the picture: no surface of a body.
+    /// alone, to fill the picture: no surface of a body, with the label of the background.
     pub measured: Vec<bool>,
     /// Colour behind all Gaussians, 0 to 1: the colour of empty pixels.
     pub background: [f32; 3],

@@ -75,7 +75,7 @@ mod tests {
             labels: (0..n).map(|i| [0, 7][i % 2]).collect(),
             label_confidence: vec![1.0; n],
             classifier: Classifier::default(),
-            background: [0.0; 3],
+            ..GaussianModel::default()
         }
     }
 

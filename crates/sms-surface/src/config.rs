@@ -31,4 +31,7 @@ pub struct SurfaceConfig {
     pub edge_threshold: f32,
     /// Measurements with a smaller cosine between normal and ray are left to other frames.
     pub min_cosine: f64,
+    /// Least cosine between the normals of an element and of its measurements in the first pass of [`crate::settle`]; the second
+    /// measures at the position and normal found by the first, with [`crate::SAME_SURFACE_COSINE`].
+    pub first_alike: f64,
 }

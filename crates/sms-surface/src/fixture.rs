@@ -13,6 +13,7 @@ pub(crate) fn config() -> SurfaceConfig {
         edge_spacing: 0.5,
         edge_threshold: 0.08,
         min_cosine: 0.1,
+        first_alike: 0.3,
     }
 }
 

@@ -16,7 +16,13 @@ const FINER: f64 = 2.0;
 ///
 /// An element covers the measured points that lie within its distance to its neighbours in its plane, and within the tolerance
 /// of its plane, if it faces the camera. Normals are not compared: those of single pixels are too noisy.
-pub fn grow(surfels: &mut Vec<Surfel>, frame: &Frame, slot: usize, config: &SurfaceConfig, seed: Seed) {
+pub(crate) fn grow(
+    surfels: &mut Vec<Surfel>,
+    frame: &Frame,
+    slot: usize,
+    config: &SurfaceConfig,
+    seed: Seed,
+) {
     let mut pixels = FramePoints::of(frame, config);
     let seen: Vec<Option<(usize, usize)>> =
         surfels.par_iter_mut().with_min_len(256).map(|surfel| pixels.see(surfel)).collect();
@@ -48,7 +54,7 @@ pub fn grow(surfels: &mut Vec<Surfel>, frame: &Frame, slot: usize, config: &Surf
     }
 }
 
-/// Fisher-Yates.
+/// Shuffles values (Fisher and Yates).
 fn shuffle(values: &mut [usize], rng: &mut StageRng) {
     for i in (1..values.len()).rev() {
         values.swap(i, rng.random_range(0..=i));

@@ -1,6 +1,6 @@
 //! One surface from all frames of a posed RGB-D sequence, as oriented surface elements (surfels).
 //!
-//! [`fuse`] adds frame after frame to a surface ([`grow`]), moves every element onto the weighted mean of the measurements of
+//! [`fuse`] adds elements frame after frame, moves every element onto the weighted mean of the measurements of
 //! all frames ([`settle`]), as in projective fusion of depth (Curless and Levoy, SIGGRAPH 1996), and removes those that more frames contradict than
 //! measure. Elements have a side: the two faces of a thin wall are fused apart.
 
@@ -15,12 +15,12 @@ mod surfel;
 mod fixture;
 
 pub use config::{SurfaceConfig, SurfaceTolerance};
-pub use grow::grow;
-pub use measure::{PointVisibility, settle, standing, visibility};
+pub use measure::{PointVisibility, SAME_SURFACE_COSINE, settle, standing, visibility};
 pub use nearby::map_nearby;
 pub use point::{MeasuredPoint, measured_point};
 pub use surfel::{SeedPixel, Surfel};
 
+use grow::grow;
 use measure::supported;
 use sms_core::{Cancel, CoreError, Seed};
 use sms_frames::Frame;
@@ -99,6 +99,20 @@ mod tests {
         let frames: Vec<&Frame> = frames.iter().collect();
         let surfels = fuse(&frames, &config(), Seed(3), &Cancel::new()).unwrap();
         assert!(!surfels.is_empty() && surfels.iter().all(|s| s.p_w.z.abs() < 0.02));
+    }
+
+    #[test]
+    fn frames_without_usable_depth_have_no_surface() {
+        let of = |frames: &[&Frame]| fuse(frames, &config(), Seed(3), &Cancel::new()).unwrap();
+        assert!(of(&[]).is_empty());
+        for z in [0.0, f32::NAN, f32::INFINITY, -1.0] {
+            let mut frame = facing_plane(0.5, 0.0);
+            frame.depth.data.fill(z);
+            assert!(of(&[&frame, &frame]).is_empty(), "{z}");
+        }
+        let mut bare = facing_plane(0.5, 0.0);
+        bare.normal_c.data.fill([0.0; 3]);
+        assert!(of(&[&bare]).is_empty());
     }
 
     #[test]

@@ -3,14 +3,13 @@
 use crate::config::{SurfaceConfig, SurfaceTolerance};
 use crate::nearby::map_nearby;
 use crate::surfel::Surfel;
-use glamx::{DQuat, DVec3, Vec3};
+use glamx::{DVec3, Vec3};
 use rayon::prelude::*;
 use sms_core::{Cancel, CoreError};
 use sms_frames::Frame;
 
-/// Least cosine between the normal of an element and the normals of its surface, for each pass. An element starts with the normal
-/// of one noisy pixel; the second pass measures at the position and normal found by the first.
-const SAME_SURFACE_COSINE: [f64; 2] = [0.3, 0.7];
+/// Least cosine between the normal of an element and the normals of its surface.
+pub const SAME_SURFACE_COSINE: f64 = 0.7;
 
 /// Moves every element along its normal to the mean of the measurements of `frames`, and turns it to their mean normal.
 /// Elements without measurements remain unchanged.
@@ -26,7 +25,7 @@ pub fn settle(
     let positions_w: Vec<Vec3> = surfels.par_iter().map(|s| s.p_w.as_vec3()).collect();
     let settled = map_nearby(&positions_w, |group| {
         let mut group: Vec<Surfel> = group.iter().map(|&i| surfels[i as usize]).collect();
-        for least_alike in SAME_SURFACE_COSINE {
+        for least_alike in [config.first_alike, SAME_SURFACE_COSINE] {
             let mut sums: Vec<[SideMeasurement; 2]> = group.iter().map(|_| Default::default()).collect();
             if cancel.is_cancelled() {
                 break;
@@ -59,15 +58,12 @@ struct SideMeasurement {
 fn adjust(surfel: &mut Surfel, [front, back]: [SideMeasurement; 2]) {
     // A thin wall is measured from both sides, and the mean would lie inside the wall. Each element belongs to the side with
     // more measurements.
-    let (sum, facing) = if back.weight > front.weight { (back, -1.0) } else { (front, 1.0) };
-    let axis_w = surfel.n_w;
+    let sum = if back.weight > front.weight { back } else { front };
     if sum.weight > 0.0 {
-        surfel.p_w += axis_w * (sum.offset / sum.weight);
+        surfel.p_w += surfel.n_w * (sum.offset / sum.weight);
     }
     if sum.normal_w.length() > 0.0 {
-        let along_w = sum.normal_w.normalize();
-        let turn = DQuat::from_rotation_arc(axis_w * facing, along_w);
-        surfel.n_w = (turn * (axis_w * facing)).normalize();
+        surfel.n_w = sum.normal_w.normalize();
     }
 }
 
@@ -94,7 +90,7 @@ fn add_frame(
         let (px, py) = (x as i64 + dx, y as i64 + dy);
         let Some(&depth) = frame.depth.get(px, py) else { continue };
         let normal_c = frame.normal_c[(px as usize, py as usize)];
-        if depth <= 0.0 || normal_c == [0.0; 3] || (f64::from(depth) - z).abs() > gate {
+        if !(depth > 0.0 && (f64::from(depth) - z).abs() <= gate) || normal_c == [0.0; 3] {
             continue;
         }
         let (precision, to_camera) = *precision_and_direction.get_or_insert_with(|| {
@@ -134,7 +130,7 @@ pub fn visibility(frame: &Frame, p_w: DVec3, tolerance: &SurfaceTolerance) -> Po
     for dy in -1..=1 {
         for dx in -1..=1 {
             let Some(&depth) = frame.depth.get(x as i64 + dx, y as i64 + dy) else { continue };
-            if depth <= 0.0 {
+            if !(depth > 0.0 && depth.is_finite()) {
                 continue;
             }
             measured += 1;
@@ -183,6 +179,8 @@ pub fn standing(
     })
 }
 
+/// Least cosine between the normal of an element and the direction to a camera that should see it.
+const FACING: f64 = 0.3;
 /// Multiple of the tolerance by which the surface in front of an element may be the same surface, measured elsewhere.
 const LAYERS: f64 = 4.0;
 
@@ -215,7 +213,7 @@ fn is_shadowed(frame: &Frame, surfel: &Surfel, tolerance: &SurfaceTolerance) -> 
     let depth = f64::from(frame.depth[pixel]);
     let facing = surfel.n_w.dot((frame.camera.center_w() - surfel.p_w).normalize());
     let gap = (z - depth) * facing;
-    depth > 0.0 && facing > 0.3 && gap > 0.0 && gap <= LAYERS * tolerance.at(&frame.depth_noise, z)
+    depth > 0.0 && facing > FACING && gap > 0.0 && gap <= LAYERS * tolerance.at(&frame.depth_noise, z)
 }
 
 #[cfg(test)]

@@ -30,6 +30,9 @@ impl MeasuredPoint {
     }
 }
 
+/// Least change of the distance from the tangent plane with depth that is divided by.
+const LEAST_SLOPE: f64 = 0.1;
+
 /// Returns the measured surface at pixel `i`; `None` without depth or normal. Its point is moved along the ray onto the mean of the
 /// 3 × 3 neighbours within the noise of the tangent plane. A wider window would cut into curved surfaces: on a ball of 30 mm
 /// radius seen at 2 mm per pixel, 3 × 3 lies 0.1 mm too deep and 5 × 5 0.3 mm.
@@ -37,7 +40,7 @@ pub fn measured_point(frame: &Frame, i: usize, config: &SurfaceConfig) -> Option
     let (width, k) = (frame.depth.width, &frame.camera.intrinsics);
     let measured = frame.depth.data[i];
     let normal_c = DVec3::from_array(frame.normal_c.data[i].map(f64::from));
-    if !(measured > 0.0 && normal_c.length_squared() > 0.5) {
+    if !(measured > 0.0 && measured.is_finite() && normal_c.length_squared() > 0.5) {
         return None;
     }
     let ray_at =
@@ -46,7 +49,7 @@ pub fn measured_point(frame: &Frame, i: usize, config: &SurfaceConfig) -> Option
     let ray = ray_at(x, y);
     let slope = -normal_c.dot(ray);
     let sigma = frame.depth_noise.sigma_m(z);
-    let gate = config.tolerance.sigmas * sigma * slope.max(0.1);
+    let gate = config.tolerance.sigmas * sigma * slope.max(LEAST_SLOPE);
     let (mut sum, mut count) = (0.0, 0.0);
     for (dx, dy) in (-1..=1i64).flat_map(|dy| (-1..=1i64).map(move |dx| (dx, dy))) {
         let (nx, ny) = (x as i64 + dx, y as i64 + dy);
@@ -58,7 +61,10 @@ pub fn measured_point(frame: &Frame, i: usize, config: &SurfaceConfig) -> Option
         }
     }
     // Moving by δ along the ray changes n·p by −δ·slope; the centre pixel always counts.
-    let depth = z - sum / f64::max(count, 1.0) / slope.max(0.1);
+    let depth = z - sum / f64::max(count, 1.0) / slope.max(LEAST_SLOPE);
+    if depth <= 0.0 {
+        return None;
+    }
     let cosine = slope / ray.length();
     let footprint_m = k.pixel_footprint(depth);
     let is_edge = is_edge(frame, x, y, config);

@@ -3,7 +3,7 @@
 use crate::{LearningRates, LossWeights, TrainConfig};
 use serde::{Deserialize, Serialize};
 use sms_frames::DepthNoise;
-use sms_surface::{SurfaceConfig, SurfaceTolerance};
+use sms_surface::{SAME_SURFACE_COSINE, SurfaceConfig, SurfaceTolerance};
 
 /// Trade-off between time and quality of a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -64,7 +64,7 @@ pub struct SeedingConfig {
     pub min_tolerance_m: f64,
     /// The difference must also exceed this number of standard deviations of the depth noise.
     pub tolerance_sigmas: f64,
-    /// No Gaussian is seeded within this radius (metres) of another one, nor within the spacing.
+    /// No Gaussian is seeded within this radius (metres) of another one, nor within the spacing (schedule `sequential`).
     pub radius_m: f64,
     /// In-plane standard deviation of a new disc as a share of the spacing.
     pub sigma_of_spacing: f64,
@@ -104,7 +104,8 @@ impl Default for SeedingConfig {
 pub struct PruningConfig {
     /// Gaussians below this opacity are removed halfway through a frame and at its end.
     pub opacity_below: f32,
-    /// Whether to remove Gaussians in front of the measured depth by more than the seeding tolerance.
+    /// Whether to remove Gaussians in front of the measured depth by more than the seeding tolerance (schedule `sequential`;
+    /// the fused surface has none).
     pub floaters: bool,
 }
 
@@ -255,8 +256,8 @@ impl ScanConfig {
         if self.schedule == ScanOrder::Fused { frames } else { 0 }
     }
 
-    /// The settings of the fused surface.
-    pub fn surface(&self) -> SurfaceConfig {
+    /// Returns the settings of the fused surface.
+    pub(crate) fn surface(&self) -> SurfaceConfig {
         let seeding = &self.seeding;
         SurfaceConfig {
             tolerance: SurfaceTolerance { min_m: seeding.min_tolerance_m, sigmas: seeding.tolerance_sigmas },
@@ -264,6 +265,8 @@ impl ScanConfig {
             edge_spacing: seeding.edge_spacing,
             edge_threshold: seeding.edge_threshold,
             min_cosine: seeding.min_cosine,
+            // New elements have the normal of one noisy pixel, trained Gaussians that of their surface.
+            first_alike: if self.schedule == ScanOrder::Fused { 0.3 } else { SAME_SURFACE_COSINE },
         }
     }
 

@@ -1,5 +1,5 @@
-//! The model as a standard 3D Gaussian Splatting `.ply` for viewers. Affinities, labels and their confidence are
-//! additional properties that viewers ignore. Classifier and background are in a separate file.
+//! The model as a standard 3D Gaussian Splatting `.ply` for viewers. Affinities, labels, their confidence and `measured` (1 on a
+//! measured surface, else 0; without it, all are) are additional properties that viewers ignore. Classifier and background are in a separate file.
 
 use crate::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM, Seedling};
 use glamx::{Quat, Vec3};

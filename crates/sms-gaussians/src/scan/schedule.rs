@@ -64,7 +64,8 @@ pub struct ScanResult {
 ///
 /// # Errors
 /// [`ScanError::Input`] when sequence and labels do not fit or there is no depth; [`CoreError::Interrupted`] after a
-/// checkpoint was saved when cancelled; [`CoreError::Write`] when the disk is full.
+/// checkpoint was saved when cancelled, or during the fusion of the surface, which starts again; [`CoreError::Write`]
+/// when the disk is full.
 pub fn scan(
     sequence: &Sequence,
     labels: &Labels,
@@ -120,6 +121,7 @@ pub fn scan(
 fn slot_limit(config: &ScanConfig, slot: usize, frames: usize) -> usize {
     match slot {
         _ if slot == frames => config.last_steps(),
+        _ if slot < config.first_slot(frames) => 0,
         0 => config.steps_first,
         _ => config.steps_frame,
     }
@@ -368,7 +370,10 @@ impl Schedule<'_> {
         let Some(&index) = self.trained.get(self.place.slot) else {
             self.report_slot();
             return match self.config.schedule {
-                ScanOrder::Fused => self.place_all(),
+                ScanOrder::Fused => self.place_all().or_else(|error| {
+                    self.so_far.save(self.warnings)?;
+                    Err(error)
+                }),
                 ScanOrder::Sequential => self.fuse_all(),
             };
         };

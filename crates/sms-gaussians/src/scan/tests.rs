@@ -307,7 +307,7 @@ fn reconstruct(mut config: ScanConfig, most: SurfaceErrors) {
 
 #[test]
 fn gaussians_fill_what_has_no_depth_and_are_marked() {
-    // The floor under the patch is measured by other frames; a corner of the recording is measured by none.
+    // No frame measures the floor beyond x = 5 cm.
     let (mut sequence, labels) = record(SMALL);
     for frame in &mut sequence.frames {
         for y in 0..SMALL.height {

@@ -1,14 +1,14 @@
 //! The schedule's reports: to progress and observer while it runs, and its result with the agreement of all views.
 
 use super::{ScanResult, Schedule};
-use crate::RenderedMaps;
 use crate::scan::ScanError;
 use crate::scan::evaluate::{Confusion, ViewScore, add_metrics, score_view};
 use crate::scan::observer::{BatchDone, SlotDone};
 use crate::scan::ply::write_ply;
+use crate::{GaussianModel, RenderedMaps};
 use rayon::prelude::*;
 use sms_core::metrics::Metrics;
-use sms_core::{Status, atomic};
+use sms_core::{BACKGROUND, Status, atomic};
 use sms_frames::Frame;
 use std::path::Path;
 use std::time::Instant;
@@ -92,7 +92,7 @@ impl Schedule<'_> {
 
     pub(super) fn tell(&mut self, unreported: UnreportedSlot<'_>, score: ViewScore) {
         self.last_psnr_db = Some(score.psnr_db);
-        let trainer = &*self.trainer;
+        let (trainer, measured) = (&*self.trainer, self.place.measured);
         self.observer.slot(&SlotDone {
             slot: unreported.slot,
             frames: self.trained.len(),
@@ -100,7 +100,11 @@ impl Schedule<'_> {
             frame: unreported.frame,
             rendered: &unreported.rendered,
             score,
-            model: &|| trainer.model(),
+            model: &|| {
+                let mut model = trainer.model();
+                mark_unmeasured(&mut model, measured);
+                model
+            },
         });
         self.trainer.recycle(unreported.rendered);
     }
@@ -124,9 +128,7 @@ impl Schedule<'_> {
         let began = Instant::now();
         let mut model = self.trainer.model();
         self.check_device()?;
-        if let Some(measured) = self.place.measured {
-            model.measured = (0..model.len()).map(|i| i < measured).collect();
-        }
+        mark_unmeasured(&mut model, self.place.measured);
         atomic::write_json(&work_dir.join("losses.json"), &self.place.losses)?;
         atomic::write_json(&work_dir.join("views.json"), &train_views)?;
         write_ply(&model, &work_dir.join("scene.ply"))?;
@@ -178,4 +180,11 @@ impl Schedule<'_> {
         }
         Ok((views, confusion.mean_iou()))
     }
+}
+
+/// Marks all but the first `measured` Gaussians as not on a measured surface; they are parts of no object.
+fn mark_unmeasured(model: &mut GaussianModel, measured: Option<usize>) {
+    let Some(measured) = measured.filter(|measured| *measured < model.len()) else { return };
+    model.measured = (0..model.len()).map(|i| i < measured).collect();
+    model.labels[measured..].fill(BACKGROUND);
 }
