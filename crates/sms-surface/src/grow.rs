@@ -41,14 +41,7 @@ pub(crate) fn grow(
     shuffle(&mut others, &mut rng);
     for i in edges.into_iter().chain(others) {
         let Some(point) = pixels.points[i].filter(|_| !pixels.covered[i]) else { continue };
-        let surfel = Surfel {
-            p_w: point.p_w,
-            n_w: point.n_w,
-            spacing_m: point.spacing_m,
-            to_camera_w: (frame.camera.center_w() - point.p_w).normalize(),
-            pitch_m: point.pitch_m(config),
-            seed: SeedPixel { slot, pixel: i },
-        };
+        let surfel = point.surfel(frame, config, SeedPixel { slot, pixel: i });
         pixels.cover(i % pixels.width, i / pixels.width, &surfel);
         surfels.push(surfel);
     }

@@ -1,6 +1,7 @@
 //! The measured surface at a pixel.
 
 use crate::config::SurfaceConfig;
+use crate::surfel::{SeedPixel, Surfel};
 use glamx::DVec3;
 use sms_frames::Frame;
 
@@ -24,8 +25,20 @@ pub struct MeasuredPoint {
 }
 
 impl MeasuredPoint {
+    /// Returns the element of the surface at this point, which pixel `seed` of the frame adds.
+    pub fn surfel(&self, frame: &Frame, config: &SurfaceConfig, seed: SeedPixel) -> Surfel {
+        Surfel {
+            p_w: self.p_w,
+            n_w: self.n_w,
+            spacing_m: self.spacing_m,
+            to_camera_w: (frame.camera.center_w() - self.p_w).normalize(),
+            pitch_m: self.pitch_m(config),
+            seed,
+        }
+    }
+
     /// Returns the size of a pixel on the surface along the direction in which it recedes, metres.
-    pub fn pitch_m(&self, config: &SurfaceConfig) -> f64 {
+    pub(crate) fn pitch_m(&self, config: &SurfaceConfig) -> f64 {
         self.footprint_m / self.cosine.max(config.min_cosine)
     }
 }

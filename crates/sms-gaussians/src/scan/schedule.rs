@@ -28,7 +28,7 @@ use crate::{FrameId, GaussianModel, StepBatch, StepStats, Trainer, TrainerError}
 use glamx::Vec3;
 use rand::RngExt;
 use sms_core::metrics::Metrics;
-use sms_core::{Cancel, CoreError, Labels, Progress, Seed, StageContext, Warnings};
+use sms_core::{Cancel, CoreError, LabelMap, Labels, Progress, Seed, StageContext, Warnings};
 use sms_frames::{Frame, Sequence};
 use std::path::Path;
 use std::time::Instant;
@@ -157,7 +157,7 @@ struct Schedule<'a> {
     warnings: &'a Warnings,
 }
 
-impl Schedule<'_> {
+impl<'a> Schedule<'a> {
     fn resume(&mut self) {
         if !self.saver.path().exists() {
             return;
@@ -310,11 +310,15 @@ impl Schedule<'_> {
         self.positions_w = None;
     }
 
+    /// Returns the frames that are trained on, with their labels.
+    fn labelled(&self) -> Vec<(&'a Frame, &'a LabelMap)> {
+        self.trained.iter().map(|&i| (&self.sequence.frames[i], &self.labels.maps[i])).collect()
+    }
+
     /// Makes geometry and labels consistent with all frames.
     fn fuse_all(&mut self) -> Result<(), ScanError> {
         let began = Instant::now();
-        let labelled: Vec<_> =
-            self.trained.iter().map(|&i| (&self.sequence.frames[i], &self.labels.maps[i])).collect();
+        let labelled = self.labelled();
         let frames: Vec<&Frame> = labelled.iter().map(|(frame, _)| *frame).collect();
         let config = self.config;
         self.positions_w = None;
@@ -336,8 +340,7 @@ impl Schedule<'_> {
     /// Fuses all frames into one surface and places Gaussians on it.
     fn place_all(&mut self) -> Result<(), ScanError> {
         let began = Instant::now();
-        let labelled: Vec<_> =
-            self.trained.iter().map(|&i| (&self.sequence.frames[i], &self.labels.maps[i])).collect();
+        let labelled = self.labelled();
         let frames: Vec<&Frame> = labelled.iter().map(|(frame, _)| *frame).collect();
         let surfels =
             sms_surface::fuse(&frames, &self.config.surface(), self.seed.derive("surface"), self.cancel)?;

@@ -15,7 +15,7 @@ use rand::RngExt;
 use rayon::prelude::*;
 use sms_core::{LabelMap, Seed, StageRng};
 use sms_frames::Frame;
-use sms_surface::{MeasuredPoint, SurfaceConfig, Surfel, measured_point};
+use sms_surface::{MeasuredPoint, SeedPixel, SurfaceConfig, Surfel, measured_point};
 
 /// Standard deviation of the components of a label's common affinity.
 const CODE_SIGMA: f32 = 0.5;
@@ -89,14 +89,7 @@ pub(crate) fn seed_frame(
         taken.insert(position_w);
         let affinity = codes.draw(labels.data[i], &mut affinity_rng);
         let color = frame.color.data[i].map(|c| f32::from(c) / 255.0);
-        let element = Surfel {
-            p_w: point.p_w,
-            n_w: point.n_w,
-            spacing_m: point.spacing_m,
-            to_camera_w: (frame.camera.center_w() - point.p_w).normalize(),
-            pitch_m: point.pitch_m(&surface),
-            ..Surfel::default()
-        };
+        let element = point.surfel(frame, &surface, SeedPixel::default());
         seedlings.push(disc(&element, color, affinity, config));
     }
     seedlings
