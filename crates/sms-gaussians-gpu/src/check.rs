@@ -3,7 +3,7 @@
 
 use crate::compare::{ErrorSpread, first_moments, images};
 use crate::gpu::{AdapterChoice, GpuError};
-use crate::probe::{CLASSES, camera, fill};
+use crate::probe::{CLASSES, camera, fill, still};
 use crate::trainer::GpuTrainer;
 use sms_core::Seed;
 use sms_gaussians::{CpuTrainer, LearningRates, TrainConfig, Trainer};
@@ -59,7 +59,7 @@ impl std::fmt::Display for SelfCheck {
 /// [`GpuError`] if the adapter cannot be opened, cannot run the kernels, or is lost. Wrong results are not an
 /// error: see [`SelfCheck::fault`].
 pub fn self_check(choice: AdapterChoice) -> Result<SelfCheck, GpuError> {
-    let still = TrainConfig { rates: LearningRates::default().scaled(0.0), ..TrainConfig::default() };
+    let still = TrainConfig { rates: still(), ..TrainConfig::default() };
     let (mut cpu, mut gpu) =
         (CpuTrainer::new(&still, CLASSES, Seed(2)), GpuTrainer::new(&still, CLASSES, Seed(2), choice)?);
     fill(&mut cpu, SIZE, COUNT);
@@ -76,7 +76,7 @@ pub fn self_check(choice: AdapterChoice) -> Result<SelfCheck, GpuError> {
         .map(|(_, spread)| spread)
         .reduce(|a, b| ErrorSpread { p999: a.p999.max(b.p999), max: a.max.max(b.max) })
         .unwrap_or(worst);
-    let rates = LearningRates::default();
+    let rates = LearningRates { harmonics: 2e-3, ..LearningRates::default() };
     gpu.set_rates(&rates);
     cpu.set_rates(&rates);
     let frames: Vec<usize> = (0..STEPS).map(|i| i % 2).collect();

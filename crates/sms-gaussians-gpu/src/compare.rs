@@ -1,7 +1,7 @@
 //! Comparison of two back ends.
 
 use sms_gaussians::parameters::{
-    AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, Parameters, ROTATION,
+    AFFINITY, COLOR, HARMONICS, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, Parameters, ROTATION,
 };
 use sms_gaussians::{RenderedMaps, TrainState, TrainerError};
 
@@ -49,13 +49,14 @@ pub(crate) fn images(a: &RenderedMaps, b: &RenderedMaps) -> ErrorSpread {
 }
 
 /// The groups of parameters: name, first index, one past the last.
-pub(crate) const GROUPS: [(&str, usize, usize); 6] = [
+pub(crate) const GROUPS: [(&str, usize, usize); 7] = [
     ("position", POSITION, ROTATION),
     ("rotation", ROTATION, LOG_SCALE),
     ("scale", LOG_SCALE, LOGIT_OPACITY),
     ("opacity", LOGIT_OPACITY, COLOR),
     ("color", COLOR, AFFINITY),
-    ("affinity", AFFINITY, PARAMETERS),
+    ("affinity", AFFINITY, HARMONICS),
+    ("harmonics", HARMONICS, PARAMETERS),
 ];
 
 /// Compares Adam's first moments of two states, each group relative to the larger state's largest moment: after one

@@ -1,6 +1,7 @@
 //! The compute pipelines, from the sources under `shaders/`.
 
 use crate::gpu::Gpu;
+use crate::rows::DEVICE_ROW;
 use crate::unroll::unroll;
 use crate::work::STATS;
 use sms_gaussians::limits::{
@@ -104,6 +105,7 @@ fn constants(classes: usize) -> String {
         ("CLASSES", classes as u32),
         ("CLASSIFIER_VECTORS", classifier_vectors(classes)),
         ("CLASSIFIER_GROUPS", classifier_vectors(classes) / 2),
+        ("ROW_VECTORS", DEVICE_ROW as u32 / 4),
         ("MAX_GROUPS", MAX_GROUPS),
         ("CORRECTIONS", CORRECTIONS),
     ];
@@ -200,10 +202,15 @@ impl Kernels {
         let gaussian = include_str!("shaders/gaussian.wgsl");
         let alpha = include_str!("shaders/alpha.wgsl");
         let adam = include_str!("shaders/adam.wgsl");
+        let harmonics = include_str!("shaders/harmonics.wgsl");
         let columns = include_str!("shaders/columns.wgsl");
         let visited = [R, R, W, W, W, W, W, Uniform, W];
         Self {
-            project: kernel("project", &[R, W, W, W], &[gaussian, include_str!("shaders/project.wgsl")]),
+            project: kernel(
+                "project",
+                &[R, W, W, W],
+                &[gaussian, harmonics, include_str!("shaders/project.wgsl")],
+            ),
             visit: kernel("visit", &visited, &[columns, include_str!("shaders/visit.wgsl")]),
             visit_large: kernel(
                 "visit large",
@@ -225,7 +232,7 @@ impl Kernels {
             update: kernel(
                 "update",
                 &[W, W, W, R, R, W, R],
-                &[gaussian, adam, include_str!("shaders/update.wgsl")],
+                &[gaussian, harmonics, adam, include_str!("shaders/update.wgsl")],
             ),
             finish: kernel("finish", &[R, R, W, W, R, W, W], &[adam, include_str!("shaders/finish.wgsl")]),
             maps: kernel("maps", &[R, R, R, R, R, Uniform, W], &[alpha, include_str!("shaders/maps.wgsl")]),

@@ -3,7 +3,7 @@
 use glamx::{DPose3, DQuat, DVec3, EulerRot, Quat, Vec3};
 use rand::RngExt;
 use sms_core::{Camera, Intrinsics, Seed};
-use sms_gaussians::{AFFINITY_DIM, Seedling, TrainFrame, Trainer};
+use sms_gaussians::{AFFINITY_DIM, LearningRates, Seedling, TrainFrame, Trainer};
 
 /// Classes of the scene.
 pub(crate) const CLASSES: usize = 5;
@@ -16,6 +16,11 @@ pub(crate) fn camera((width, height): (usize, usize)) -> Camera {
     let (w, h) = (width as f64, height as f64);
     let intrinsics = Intrinsics { width, height, fx: 0.95 * w, fy: 0.9 * w, cx: 0.53 * w, cy: 0.46 * h };
     Camera::new(intrinsics, DPose3::from_parts(DVec3::new(-0.08, 0.04, -1.0), rotation))
+}
+
+/// Rates at which every group of parameters is trained, but too low for a step to change a number: for comparing gradients.
+pub(crate) fn still() -> LearningRates {
+    LearningRates { harmonics: 1e-2, ..LearningRates::default() }.scaled(1e-30)
 }
 
 /// Discs of a few pixels across the camera's view and a little beyond, one of them behind the camera, and one that
@@ -38,6 +43,7 @@ pub(crate) fn seedlings(camera: &Camera, count: usize, seed: Seed) -> Vec<Seedli
             scale: sigma * Vec3::new(between(0.6, 1.4), between(0.6, 1.4), between(0.1, 0.4)),
             opacity: between(0.2, 0.95),
             color: [(); 3].map(|()| between(0.0, 1.0)),
+            harmonics: std::array::from_fn(|_| between(-0.3, 0.3)),
             affinity: [(); AFFINITY_DIM].map(|()| between(-1.0, 1.0)),
         }
     };

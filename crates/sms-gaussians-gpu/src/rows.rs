@@ -1,9 +1,12 @@
-//! Layout of a Gaussian's parameters in the kernels: eight vectors of four, so that no group of parameters straddles
-//! two. In order: position and logit of the opacity; rotation; logarithms of the scales; colour; affinity.
+//! Layout of a Gaussian's parameters in the kernels: vectors of four, so that no group of parameters straddles two. In order:
+//! position and logit of the opacity; rotation; logarithms of the scales; colour; affinity (four); view-dependent colour (six).
 
 use sms_gaussians::parameters::{
-    AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION, ROW, Row,
+    AFFINITY, COLOR, HARMONICS, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION, ROW, Row,
 };
+
+/// Length of a row on the device.
+pub(crate) const DEVICE_ROW: usize = 56;
 
 /// Position of each parameter of a [`Row`] on the device.
 const PLACES: [usize; PARAMETERS] = {
@@ -16,7 +19,8 @@ const PLACES: [usize; PARAMETERS] = {
             _ if i < LOGIT_OPACITY => 8 + i - LOG_SCALE,
             LOGIT_OPACITY => 3,
             _ if i < AFFINITY => 12 + i - COLOR,
-            _ => 16 + i - AFFINITY,
+            _ if i < HARMONICS => 16 + i - AFFINITY,
+            _ => 32 + i - HARMONICS,
         };
         i += 1;
     }
@@ -24,8 +28,8 @@ const PLACES: [usize; PARAMETERS] = {
 };
 
 /// Converts the host's order to the device's.
-pub(crate) fn to_device(Row(row): &Row) -> [f32; ROW] {
-    let mut to = [0.0; ROW];
+pub(crate) fn to_device(Row(row): &Row) -> [f32; DEVICE_ROW] {
+    let mut to = [0.0; DEVICE_ROW];
     for (place, value) in PLACES.into_iter().zip(row) {
         to[place] = *value;
     }
@@ -33,7 +37,7 @@ pub(crate) fn to_device(Row(row): &Row) -> [f32; ROW] {
 }
 
 /// Converts the device's order to the host's.
-pub(crate) fn to_host(row: &[f32; ROW]) -> Row {
+pub(crate) fn to_host(row: &[f32; DEVICE_ROW]) -> Row {
     let mut to = [0.0; ROW];
     for (value, place) in to.iter_mut().zip(PLACES) {
         *value = row[place];

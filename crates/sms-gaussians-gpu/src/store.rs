@@ -2,9 +2,9 @@
 
 use crate::gpu::Gpu;
 use crate::kernels::{CORRECTIONS, classifier_vectors};
-use crate::rows::{to_device, to_host};
+use crate::rows::{DEVICE_ROW, to_device, to_host};
 use rayon::prelude::*;
-use sms_gaussians::parameters::{ClassifierState, Parameters, ROW, Row, classifier_len};
+use sms_gaussians::parameters::{ClassifierState, Parameters, Row, classifier_len};
 use wgpu::BufferUsages;
 
 /// Words of the control buffer; see `shaders/common.wgsl`.
@@ -17,7 +17,7 @@ const CLASSIFIER_STEPS: usize = 6;
 const CLASSIFIER_STEPS_NEXT: usize = 7;
 
 /// Bytes of one Gaussian's parameters.
-pub(crate) const ROW_BYTES: u64 = 4 * ROW as u64;
+pub(crate) const ROW_BYTES: u64 = 4 * DEVICE_ROW as u64;
 
 pub(crate) struct Store {
     /// Number of Gaussians.
@@ -171,8 +171,8 @@ impl Store {
         gpu.read_with(parts, |[rows, moments, steps, values, value_moments, control]| {
             let length = classifier_len(self.classes);
             let padded = 4 * classifier_vectors(self.classes) as usize;
-            let rows: &[[f32; ROW]] = bytemuck::cast_slice(rows);
-            let moments: &[[[f32; ROW]; 2]] = bytemuck::cast_slice(moments);
+            let rows: &[[f32; DEVICE_ROW]] = bytemuck::cast_slice(rows);
+            let moments: &[[[f32; DEVICE_ROW]; 2]] = bytemuck::cast_slice(moments);
             let (values, value_moments): (&[f32], &[f32]) =
                 (bytemuck::cast_slice(values), bytemuck::cast_slice(value_moments));
             let control: &[u32] = bytemuck::cast_slice(control);

@@ -3,7 +3,7 @@
 
 use crate::compare::{ErrorSpread, GROUPS, first_moments, images, relative};
 use crate::oracle::Oracle;
-use crate::probe::{BACKGROUND, CLASSES, camera, fill, frame};
+use crate::probe::{BACKGROUND, CLASSES, camera, fill, frame, still};
 use crate::{AdapterChoice, GpuTrainer, SelfCheck, adapters};
 use sms_core::{Camera, Seed};
 use sms_gaussians::parameters::Parameters;
@@ -77,8 +77,7 @@ fn images_equal_the_cpu_and_the_oracle() {
 
 /// Gradients of one step: Adam's first moments after a step with zero learning rates.
 fn compare_gradients(config: &TrainConfig, guarded: bool) -> Option<f64> {
-    let still = LearningRates::default().scaled(0.0);
-    let config = TrainConfig { rates: still, ..*config };
+    let config = TrainConfig { rates: still(), ..*config };
     let (mut cpu, mut gpu) = filled_pair(&config, guarded)?;
     let oracle = oracle(&cpu, &config);
     let (a, b) = (gpu.steps(&[0]), cpu.steps(&[0]));
@@ -412,7 +411,7 @@ fn long_any_number_of_classes_has_the_same_gradients() {
     let Some(choice) = adapter() else {
         return;
     };
-    let config = TrainConfig { rates: LearningRates::default().scaled(0.0), ..TrainConfig::default() };
+    let config = TrainConfig { rates: still(), ..TrainConfig::default() };
     for classes in [1, 9, 33] {
         let mut cpu = CpuTrainer::new(&config, classes, SEED);
         let mut gpu = GpuTrainer::new(&config, classes, SEED, choice).unwrap();

@@ -83,7 +83,7 @@ impl Step {
         self.other_weights = [-w.color * w.ssim / values, w.isotropic, w.flat, sampled];
         let r = &config.rates;
         self.rates = [r.position, r.rotation, r.log_scale, r.opacity];
-        self.more_rates = [r.color, r.affinity, r.classifier, 0.0];
+        self.more_rates = [r.color, r.affinity, r.classifier, r.harmonics];
         let segmented = w.segmentation > 0.0 && pixels.labelled > 0;
         self.counts[3] = match config.depth_term {
             DepthTerm::Normalized => DEPTH_NORMALIZED,

@@ -42,6 +42,8 @@ pub struct LearningRates {
     pub opacity: f32,
     /// Colours.
     pub color: f32,
+    /// Dependence of colours on the viewing direction (spherical harmonics up to degree 2); 0 for none.
+    pub harmonics: f32,
     /// Affinity features.
     pub affinity: f32,
     /// Weights and biases of the classifier.
@@ -58,6 +60,7 @@ impl LearningRates {
             rotation: self.rotation * share,
             opacity: self.opacity * share,
             color: self.color * share,
+            harmonics: self.harmonics * share,
             affinity: self.affinity * share,
             classifier: self.classifier * share,
         }
@@ -72,6 +75,7 @@ impl Default for LearningRates {
             rotation: 2e-3,
             opacity: 0.05,
             color: 2.5e-3,
+            harmonics: 0.0,
             affinity: 1e-2,
             classifier: 1e-2,
         }

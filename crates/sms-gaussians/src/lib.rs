@@ -45,6 +45,7 @@ extern crate self as sms_gaussians;
 
 mod config;
 mod cpu;
+pub mod harmonics;
 mod model;
 #[cfg(test)]
 #[path = "../tests/oracle/mod.rs"]
@@ -63,9 +64,9 @@ pub use cpu::{CpuTrainer, SimdForm, StepTimes};
 pub(crate) use model::HIDDEN_DIM;
 pub use model::{AFFINITY_DIM, Classifier, GaussianModel};
 pub use scan::{
-    BatchDone, LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanObserver, ScanOrder, ScanResult,
-    ScanResumed, SeedingConfig, SlotDone, StageSeconds, StopConfig, ViewRender, ViewScore, read_ply,
-    render_views, scan, write_ply,
+    BatchDone, FusedConfig, LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanObserver,
+    ScanOrder, ScanResult, ScanResumed, SeedingConfig, SlotDone, StageSeconds, StopConfig, ViewRender,
+    ViewScore, read_ply, render_views, scan, write_ply,
 };
 pub use trainer::{
     FrameId, LossTerms, RenderedMaps, Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer,

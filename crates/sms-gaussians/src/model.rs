@@ -1,5 +1,6 @@
 //! The stage's result: labelled Gaussians.
 
+use crate::harmonics::{Harmonics, rotated, rotation_of};
 use glamx::{DPose3, Quat, Vec3};
 
 /// Width of the affinity feature (paper: d; released code: 16).
@@ -18,8 +19,11 @@ pub struct GaussianModel {
     pub scales: Vec<Vec3>,
     /// Opacities in (0, 1).
     pub opacities: Vec<f32>,
-    /// Linear colour values as trained against sRGB images, nominally 0 to 1.
+    /// Mean colours over all directions: linear values as trained against sRGB images, nominally 0 to 1.
     pub colors: Vec<[f32; 3]>,
+    /// View-dependent part of the colours; empty if there is none. From a direction, the colour is `colors[i]` plus
+    /// [`harmonics::difference`](crate::harmonics::difference).
+    pub harmonics: Vec<Harmonics>,
     /// Affinity features.
     pub affinities: Vec<[f32; AFFINITY_DIM]>,
     /// The classifier's label of each Gaussian's own affinity.
@@ -83,16 +87,17 @@ impl GaussianModel {
             affinities: pick(&self.affinities, indices),
             labels: pick(&self.labels, indices),
             label_confidence: pick(&self.label_confidence, indices),
+            harmonics: if self.harmonics.is_empty() { Vec::new() } else { pick(&self.harmonics, indices) },
             measured: if self.measured.is_empty() { Vec::new() } else { pick(&self.measured, indices) },
             classifier: self.classifier.clone(),
             background: self.background,
         }
     }
 
-    /// Transforms the model from the world to the frame `A` by `x_aw`. Colours are independent of the viewing direction
-    /// and stay the same.
+    /// Transforms the model from the world to the frame `A` by `x_aw`; the view-dependent part of the colours turns along.
     pub fn transformed(&self, x_aw: &DPose3) -> Self {
         let rotation = x_aw.rotation.as_quat();
+        let of_harmonics = rotation_of(rotation);
         Self {
             positions_w: self
                 .positions_w
@@ -100,6 +105,7 @@ impl GaussianModel {
                 .map(|p| x_aw.transform_point(p.as_dvec3()).as_vec3())
                 .collect(),
             rotations_wg: self.rotations_wg.iter().map(|&q| (rotation * q).normalize()).collect(),
+            harmonics: self.harmonics.iter().map(|h| rotated(h, &of_harmonics)).collect(),
             ..self.clone()
         }
     }

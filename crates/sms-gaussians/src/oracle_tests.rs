@@ -2,7 +2,7 @@
 
 use crate::oracle::{CHANNELS, Oracle};
 use crate::parameters::{
-    AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, Parameters, ROTATION,
+    AFFINITY, COLOR, HARMONICS, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, Parameters, ROTATION,
 };
 use crate::test_scene::{CLASSES, camera, frame, seedlings};
 use crate::{DepthTerm, LossWeights, TrainConfig};
@@ -33,7 +33,8 @@ fn worst(
     parameters.insert(&seedlings(&camera, 10, Seed(seed - 1)));
     let oracle = Oracle { background, ..Oracle::new(&parameters, &config, false) };
     let gradient = oracle.gradient(&frame);
-    let oracle = Oracle { depth_slopes: Some(oracle.own_depth_slopes(&camera)), ..oracle };
+    let held = (Some(oracle.own_depth_slopes(&camera)), Some(oracle.own_bases(&camera)));
+    let oracle = Oracle { depth_slopes: held.0, bases: held.1, ..oracle };
     // Only the form with a constant divisor differs from the plain derivative.
     let divisors = oracle.depth_divisors(&camera);
     let held = (depth_term == DepthTerm::Detached).then_some(&divisors[..]);
@@ -46,7 +47,8 @@ fn worst(
         ("scale", LOG_SCALE, LOGIT_OPACITY),
         ("opacity", LOGIT_OPACITY, COLOR),
         ("color", COLOR, AFFINITY),
-        ("affinity", AFFINITY, PARAMETERS),
+        ("affinity", AFFINITY, HARMONICS),
+        ("harmonics", HARMONICS, PARAMETERS),
     ];
     for (name, first, end) in ranges {
         let (mut error, mut size) = (0.0f64, 0.0f64);
@@ -95,19 +97,19 @@ const SHAPE: [&str; 4] = ["position", "rotation", "scale", "opacity"];
 
 #[test]
 fn absolute_color_error() {
-    let moving = [&SHAPE[..], &["color"]].concat();
+    let moving = [&SHAPE[..], &["color", "harmonics"]].concat();
     check(LossWeights { color: 1.0, ..NONE }, DepthTerm::Normalized, &moving);
 }
 
 #[test]
 fn structural_similarity() {
-    let moving = [&SHAPE[..], &["color"]].concat();
+    let moving = [&SHAPE[..], &["color", "harmonics"]].concat();
     check(LossWeights { color: 1.0, ssim: 1.0, ..NONE }, DepthTerm::Normalized, &moving);
 }
 
 #[test]
 fn colors_before_a_background() {
-    let moving = [&SHAPE[..], &["color"]].concat();
+    let moving = [&SHAPE[..], &["color", "harmonics"]].concat();
     let background = [0.9, 0.3, 0.6];
     for ssim in [0.0, 1.0] {
         let weights = LossWeights { color: 1.0, ssim, ..NONE };
@@ -160,7 +162,7 @@ fn cross_entropy_moves_affinities_and_classifier() {
 
 #[test]
 fn all_terms_together() {
-    let moving = [&SHAPE[..], &["color", "affinity", "classifier"]].concat();
+    let moving = [&SHAPE[..], &["color", "harmonics", "affinity", "classifier"]].concat();
     for term in [DepthTerm::Normalized, DepthTerm::Detached, DepthTerm::Accumulated] {
         check(LossWeights::default(), term, &moving);
     }

@@ -1,6 +1,7 @@
 //! The state of training: parameters in the optimiser's own units with their Adam moments, and their encoding in a
 //! checkpoint. All back ends share this layout.
 
+use crate::harmonics::{BASIS, Harmonics};
 use crate::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM, Seedling, TrainState, TrainerError};
 use glamx::{Quat, Vec3};
 use rand::RngExt;
@@ -19,10 +20,12 @@ pub const LOGIT_OPACITY: usize = 10;
 pub const COLOR: usize = 11;
 /// First index of the affinity.
 pub const AFFINITY: usize = 14;
+/// First index of the view-dependent part of the colour ([`Harmonics`]).
+pub const HARMONICS: usize = AFFINITY + AFFINITY_DIM;
 /// Parameters of one Gaussian.
-pub const PARAMETERS: usize = AFFINITY + AFFINITY_DIM;
-/// Length of a row: parameters padded to whole vectors of eight.
-pub const ROW: usize = 32;
+pub const PARAMETERS: usize = HARMONICS + 3 * BASIS;
+/// Length of a row: parameters padded to whole vectors of sixteen.
+pub const ROW: usize = 64;
 
 /// Smallest and largest standard deviation, metres: the useful range for desk-size scans.
 pub const SCALE_RANGE: (f32, f32) = (1e-6, 10.0);
@@ -105,7 +108,7 @@ impl ClassifierState {
 
 /// Returns the row of a seedling with scales, opacity and rotation in range, or `None` if a number is not finite.
 fn row_of(s: &Seedling) -> Option<Row> {
-    let numbers = [s.opacity].into_iter().chain(s.color).chain(s.affinity);
+    let numbers = [s.opacity].into_iter().chain(s.color).chain(s.harmonics).chain(s.affinity);
     let finite = s.position_w.is_finite() && s.rotation_wg.is_finite() && s.scale.is_finite();
     if !finite || numbers.into_iter().any(|v| !v.is_finite()) {
         return None;
@@ -121,7 +124,8 @@ fn row_of(s: &Seedling) -> Option<Row> {
     let opacity = s.opacity.clamp(1e-5, 1.0 - 1e-5);
     row[LOGIT_OPACITY] = (opacity / (1.0 - opacity)).ln();
     row[COLOR..COLOR + 3].copy_from_slice(&s.color.map(|c| c.clamp(-1.0, 2.0)));
-    row[AFFINITY..PARAMETERS].copy_from_slice(&s.affinity.map(|a| a.clamp(-100.0, 100.0)));
+    row[AFFINITY..HARMONICS].copy_from_slice(&s.affinity.map(|a| a.clamp(-100.0, 100.0)));
+    row[HARMONICS..PARAMETERS].copy_from_slice(&s.harmonics.map(|h| h.clamp(-2.0, 2.0)));
     row.iter().all(|v| v.is_finite()).then_some(Row(row))
 }
 
@@ -130,7 +134,7 @@ fn keep<T>(values: &mut Vec<T>, mask: &[bool]) {
     values.retain(|_| mask.next() == Some(&true));
 }
 
-const STATE_VERSION: u32 = 1;
+const STATE_VERSION: u32 = 2;
 
 impl Parameters {
     /// No Gaussians, a fresh classifier.
@@ -164,6 +168,8 @@ impl Parameters {
         let classifier = self.classifier.classifier();
         let rows = &self.rows;
         let affinity = |r: &Row| std::array::from_fn(|k| r.0[AFFINITY + k]);
+        let harmonics = |r: &Row| -> Harmonics { std::array::from_fn(|k| r.0[HARMONICS + k]) };
+        let directed = rows.par_iter().any(|r| harmonics(r).iter().any(|v| *v != 0.0));
         let (labels, label_confidence) = rows.par_iter().map(|r| classifier.classify(&affinity(r))).unzip();
         GaussianModel {
             positions_w: rows.iter().map(|r| Vec3::from_slice(&r.0[POSITION..])).collect(),
@@ -171,6 +177,7 @@ impl Parameters {
             scales: rows.par_iter().map(|r| Vec3::from_slice(&r.0[LOG_SCALE..]).exp()).collect(),
             opacities: rows.par_iter().map(|r| sigmoid(r.0[LOGIT_OPACITY])).collect(),
             colors: rows.iter().map(|r| [r.0[COLOR], r.0[COLOR + 1], r.0[COLOR + 2]]).collect(),
+            harmonics: if directed { rows.iter().map(harmonics).collect() } else { Vec::new() },
             affinities: rows.iter().map(affinity).collect(),
             labels,
             label_confidence,

@@ -40,6 +40,7 @@ pub(crate) fn seedlings(camera: &Camera, count: usize, seed: Seed) -> Vec<Seedli
                 scale: sigma * Vec3::new(part(0.6, 1.4), part(0.6, 1.4), part(0.1, 0.4)),
                 opacity: part(0.2, 0.95),
                 color: [part(0.0, 1.0), part(0.0, 1.0), part(0.0, 1.0)],
+                harmonics: std::array::from_fn(|_| part(-0.3, 0.3)),
                 affinity: std::array::from_fn::<f32, AFFINITY_DIM, _>(|_| part(-1.0, 1.0)),
             }
         })

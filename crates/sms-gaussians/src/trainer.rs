@@ -3,6 +3,7 @@
 //! Seeding, schedule, random state and early stopping are above this trait and shared by all back ends. Parameters and
 //! Adam moments are below it, on the device.
 
+use crate::harmonics::Harmonics;
 use crate::parameters::Parameters;
 use crate::{AFFINITY_DIM, GaussianModel, LearningRates, LossWeights};
 use glamx::{Quat, Vec3};
@@ -37,6 +38,8 @@ pub struct Seedling {
     pub opacity: f32,
     /// Colour, 0..1.
     pub color: [f32; 3],
+    /// View-dependent part of the colour; zeros for none.
+    pub harmonics: Harmonics,
     /// Affinity feature.
     pub affinity: [f32; AFFINITY_DIM],
 }

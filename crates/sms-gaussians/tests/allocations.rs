@@ -45,6 +45,7 @@ fn trainer(form: SimdForm, share: f32) -> CpuTrainer {
         rotation: 0.0,
         opacity: 0.0,
         color: 0.0,
+        harmonics: 0.0,
         affinity: 0.0,
         classifier: 0.0,
     };
@@ -59,6 +60,7 @@ fn trainer(form: SimdForm, share: f32) -> CpuTrainer {
             scale: Vec3::new(0.02, 0.015, 0.003),
             opacity: 0.7,
             color: [0.5 + x, 0.5 + y, 0.3],
+            harmonics: [0.0; 24],
             affinity: [x; AFFINITY_DIM],
         }
     };

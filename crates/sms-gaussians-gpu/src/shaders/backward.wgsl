@@ -75,7 +75,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
         for (var i = lane; i < 8u * m; i += TILE_PIXELS) {
             let g = pairs[list.x + base + i / 8u].x;
             let part = i % 8u;
-            if (part < 4u) { splats[i] = records[4u * g + part]; } else { splats[i] = rows[8u * g + part]; }
+            if (part < 4u) { splats[i] = records[4u * g + part]; } else { splats[i] = rows[ROW_VECTORS * g + part]; }
         }
         if (lane < m) { splat_slots[lane] = pairs[list.x + base + lane].y; }
         workgroupBarrier();

@@ -29,7 +29,7 @@ struct Step {
     background: vec4f,
     // Learning rates: position, rotation, log-scale, opacity.
     rates: vec4f,
-    // Learning rates: colour, affinity, classifier.
+    // Learning rates: colour, affinity, classifier, view-dependent colour.
     more_rates: vec4f,
 }
 

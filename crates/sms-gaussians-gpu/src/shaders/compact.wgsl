@@ -10,12 +10,14 @@
 
 @compute @workgroup_size(256)
 fn main(@builtin(global_invocation_id) id: vec3u) {
-    let to = id.x / 8u;
-    let part = id.x % 8u;
+    let to = id.x / ROW_VECTORS;
+    let part = id.x % ROW_VECTORS;
     if (to >= u.counts.x) { return; }
     let from_row = kept[to];
-    new_rows[8u * to + part] = rows[8u * from_row + part];
-    new_moments[16u * to + part] = moments[16u * from_row + part];
-    new_moments[16u * to + 8u + part] = moments[16u * from_row + 8u + part];
+    new_rows[ROW_VECTORS * to + part] = rows[ROW_VECTORS * from_row + part];
+    let first = 2u * ROW_VECTORS * to + part;
+    let from_first = 2u * ROW_VECTORS * from_row + part;
+    new_moments[first] = moments[from_first];
+    new_moments[first + ROW_VECTORS] = moments[from_first + ROW_VECTORS];
     if (part == 0u) { new_steps[to] = steps[from_row]; }
 }

@@ -45,7 +45,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
         for (var i = lane; i < m * 8u; i += LANES) {
             let g = pairs[first + base + i / 8u].x;
             let part = i % 8u;
-            if (part < 4u) { splats[i] = records[4u * g + part]; } else { splats[i] = rows[8u * g + part]; }
+            if (part < 4u) { splats[i] = records[4u * g + part]; } else { splats[i] = rows[ROW_VECTORS * g + part]; }
         }
         workgroupBarrier();
         if (max(left0, left1) > TRANSMITTANCE_MIN) {

@@ -5,5 +5,5 @@
 
 @compute @workgroup_size(128)
 fn main(@builtin(global_invocation_id) id: vec3u) {
-    if (id.x < u.counts.x) { places[id.x] = rows[8u * id.x]; }
+    if (id.x < u.counts.x) { places[id.x] = rows[ROW_VECTORS * id.x]; }
 }

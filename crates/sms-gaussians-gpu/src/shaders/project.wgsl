@@ -16,8 +16,8 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         control[CLASSIFIER_STEPS] = control[CLASSIFIER_STEPS_NEXT];
     }
     if (g >= u.counts.x) { return; }
-    let place = rows[8u * g];
-    let m = linearize(place.xyz, rows[8u * g + 1u], rows[8u * g + 2u].xyz, place.w);
+    let place = rows[ROW_VECTORS * g];
+    let m = linearize(place.xyz, rows[ROW_VECTORS * g + 1u], rows[ROW_VECTORS * g + 2u].xyz, place.w);
     let c = m.covariance;
     let determinant = c.x * c.z - c.y * c.y;
     let mean = u.intrinsics.xy * m.p_c.xy * m.inverse_z + u.intrinsics.zw;
@@ -38,9 +38,30 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let power = conic_of(c) * vec3f(-0.5 * LOG2_E, -LOG2_E, -0.5 * LOG2_E);
     records[4u * g] = vec4f(mean, power.xy);
     records[4u * g + 1u] = vec4f(power.z, log2_opacity, m.depth_slope);
-    records[4u * g + 2u] = vec4f(rows[8u * g + 3u].xyz, m.p_c.z);
+    records[4u * g + 2u] = vec4f(color_of(g, place.xyz), m.p_c.z);
     records[4u * g + 3u] = vec4f(m.normal_w, 1.0);
     outlines[g] = vec4f(half, sqrt(reach * determinant / c.z), c.y / c.z);
+}
+
+// The colour of a Gaussian in this view.
+fn color_of(g: u32, p_w: vec3f) -> vec3f {
+    var color = rows[ROW_VECTORS * g + 3u].xyz;
+    let at = ROW_VECTORS * g + 8u;
+    var coefficients: array<vec4f, 6>;
+    var any_set = false;
+    for (var q = 0u; q < 6u; q++) {
+        coefficients[q] = rows[at + q];
+        any_set = any_set || any(coefficients[q] != vec4f(0.0));
+    }
+    if (!any_set) { return color; }
+    let basis = basis_at(p_w);
+    for (var k = 0u; k < BASIS; k++) {
+        for (var c = 0u; c < 3u; c++) {
+            let i = 3u * k + c;
+            color[c] += basis[k] * coefficients[i / 4u][i % 4u];
+        }
+    }
+    return color;
 }
 
 // log2 of a positive normal number to single precision, which the built-in need not reach (as in cpu/lanes.rs).

@@ -2,7 +2,7 @@
 // reached a pixel (sms-gaussians, cpu/unproject.rs).
 
 @group(0) @binding(0) var<storage, read_write> rows: array<vec4f>;
-// First moments, then second: 16 vectors per Gaussian.
+// First moments, then second.
 @group(0) @binding(1) var<storage, read_write> moments: array<vec4f>;
 @group(0) @binding(2) var<storage, read_write> steps: array<u32>;
 @group(0) @binding(3) var<storage, read> sums: array<vec4f>;
@@ -38,9 +38,9 @@ fn main(
 
 // Moves one Gaussian; returns its isotropic and flatness terms, metres.
 fn descend(g: u32) -> vec2f {
-    let place = rows[8u * g];
-    let rotation = rows[8u * g + 1u];
-    let log_scale = rows[8u * g + 2u].xyz;
+    let place = rows[ROW_VECTORS * g];
+    let rotation = rows[ROW_VECTORS * g + 1u];
+    let log_scale = rows[ROW_VECTORS * g + 2u].xyz;
     let m = linearize(place.xyz, rotation, log_scale, place.w);
     let s0 = sums[8u * g];
     let s1 = sums[8u * g + 1u];
@@ -117,49 +117,73 @@ fn descend(g: u32) -> vec2f {
     let correction = corrections[min(taken_steps, CORRECTIONS - 1u)];
     let r = u.rates;
     let c = u.more_rates;
-    var p0 = adam(place, moments[16u * g], moments[16u * g + 8u], d_place, vec4f(r.xxx, r.w), correction);
-    var p1 = adam(rotation, moments[16u * g + 1u], moments[16u * g + 9u], d_rotation, vec4f(r.y), correction);
+    var p0 = adam(place, moments[2u * ROW_VECTORS * g], moments[2u * ROW_VECTORS * g + ROW_VECTORS], d_place, vec4f(r.xxx, r.w), correction);
+    var p1 = adam(rotation, moments[2u * ROW_VECTORS * g + 1u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 1u], d_rotation, vec4f(r.y), correction);
     var p2 =
-        adam(rows[8u * g + 2u], moments[16u * g + 2u], moments[16u * g + 10u], d_size, vec4f(r.z), correction);
-    var p3 = adam(rows[8u * g + 3u], moments[16u * g + 3u], moments[16u * g + 11u], d_color, vec4f(c.x), correction);
-    var p4 = adam(rows[8u * g + 4u], moments[16u * g + 4u], moments[16u * g + 12u], s4, vec4f(c.y), correction);
-    var p5 = adam(rows[8u * g + 5u], moments[16u * g + 5u], moments[16u * g + 13u], s5, vec4f(c.y), correction);
-    var p6 = adam(rows[8u * g + 6u], moments[16u * g + 6u], moments[16u * g + 14u], s6, vec4f(c.y), correction);
-    var p7 = adam(rows[8u * g + 7u], moments[16u * g + 7u], moments[16u * g + 15u], s7, vec4f(c.y), correction);
+        adam(rows[ROW_VECTORS * g + 2u], moments[2u * ROW_VECTORS * g + 2u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 2u], d_size, vec4f(r.z), correction);
+    var p3 = adam(rows[ROW_VECTORS * g + 3u], moments[2u * ROW_VECTORS * g + 3u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 3u], d_color, vec4f(c.x), correction);
+    var p4 = adam(rows[ROW_VECTORS * g + 4u], moments[2u * ROW_VECTORS * g + 4u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 4u], s4, vec4f(c.y), correction);
+    var p5 = adam(rows[ROW_VECTORS * g + 5u], moments[2u * ROW_VECTORS * g + 5u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 5u], s5, vec4f(c.y), correction);
+    var p6 = adam(rows[ROW_VECTORS * g + 6u], moments[2u * ROW_VECTORS * g + 6u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 6u], s6, vec4f(c.y), correction);
+    var p7 = adam(rows[ROW_VECTORS * g + 7u], moments[2u * ROW_VECTORS * g + 7u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 7u], s7, vec4f(c.y), correction);
+    var harmonics: array<Moved, 6>;
+    var harmonics_sound = true;
+    if (c.w > 0.0) {
+        let basis = basis_at(place.xyz);
+        for (var q = 0u; q < 6u; q++) {
+            var d: vec4f;
+            for (var e = 0u; e < 4u; e++) {
+                let i = 4u * q + e;
+                d[e] = basis[i / 3u] * s2[i % 3u];
+            }
+            let at = 2u * ROW_VECTORS * g + 8u + q;
+            harmonics[q] =
+                adam(rows[ROW_VECTORS * g + 8u + q], moments[at], moments[at + ROW_VECTORS], d, vec4f(c.w), correction);
+            harmonics_sound = harmonics_sound && all_finite(harmonics[q].value);
+        }
+    }
     let squared = dot(p1.value, p1.value);
-    let sound = all_finite(p0.value) && all_finite(p1.value) && all_finite(p2.value) && all_finite(p3.value)
+    let sound = harmonics_sound && all_finite(p0.value) && all_finite(p1.value) && all_finite(p2.value) && all_finite(p3.value)
         && all_finite(p4.value) && all_finite(p5.value) && all_finite(p6.value) && all_finite(p7.value)
         && squared > 1e-12;
     if (!sound) {
-        for (var k = 0u; k < 16u; k++) { moments[16u * g + k] = vec4f(); }
+        for (var k = 0u; k < 2u * ROW_VECTORS; k++) { moments[2u * ROW_VECTORS * g + k] = vec4f(); }
         steps[g] = 0u;
         return terms;
     }
     p0.value.w = clamp(p0.value.w, -LOGIT_LIMIT, LOGIT_LIMIT);
-    rows[8u * g] = p0.value;
-    rows[8u * g + 1u] = p1.value / sqrt(squared);
-    rows[8u * g + 2u] = vec4f(clamp(p2.value.xyz, vec3f(LOG_SCALE_MIN), vec3f(LOG_SCALE_MAX)), 0.0);
-    rows[8u * g + 3u] = p3.value;
-    rows[8u * g + 4u] = p4.value;
-    rows[8u * g + 5u] = p5.value;
-    rows[8u * g + 6u] = p6.value;
-    rows[8u * g + 7u] = p7.value;
-    moments[16u * g] = p0.first;
-    moments[16u * g + 1u] = p1.first;
-    moments[16u * g + 2u] = p2.first;
-    moments[16u * g + 3u] = p3.first;
-    moments[16u * g + 4u] = p4.first;
-    moments[16u * g + 5u] = p5.first;
-    moments[16u * g + 6u] = p6.first;
-    moments[16u * g + 7u] = p7.first;
-    moments[16u * g + 8u] = p0.second;
-    moments[16u * g + 9u] = p1.second;
-    moments[16u * g + 10u] = p2.second;
-    moments[16u * g + 11u] = p3.second;
-    moments[16u * g + 12u] = p4.second;
-    moments[16u * g + 13u] = p5.second;
-    moments[16u * g + 14u] = p6.second;
-    moments[16u * g + 15u] = p7.second;
+    rows[ROW_VECTORS * g] = p0.value;
+    rows[ROW_VECTORS * g + 1u] = p1.value / sqrt(squared);
+    rows[ROW_VECTORS * g + 2u] = vec4f(clamp(p2.value.xyz, vec3f(LOG_SCALE_MIN), vec3f(LOG_SCALE_MAX)), 0.0);
+    rows[ROW_VECTORS * g + 3u] = p3.value;
+    rows[ROW_VECTORS * g + 4u] = p4.value;
+    rows[ROW_VECTORS * g + 5u] = p5.value;
+    rows[ROW_VECTORS * g + 6u] = p6.value;
+    rows[ROW_VECTORS * g + 7u] = p7.value;
+    moments[2u * ROW_VECTORS * g] = p0.first;
+    moments[2u * ROW_VECTORS * g + 1u] = p1.first;
+    moments[2u * ROW_VECTORS * g + 2u] = p2.first;
+    moments[2u * ROW_VECTORS * g + 3u] = p3.first;
+    moments[2u * ROW_VECTORS * g + 4u] = p4.first;
+    moments[2u * ROW_VECTORS * g + 5u] = p5.first;
+    moments[2u * ROW_VECTORS * g + 6u] = p6.first;
+    moments[2u * ROW_VECTORS * g + 7u] = p7.first;
+    moments[2u * ROW_VECTORS * g + ROW_VECTORS] = p0.second;
+    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 1u] = p1.second;
+    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 2u] = p2.second;
+    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 3u] = p3.second;
+    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 4u] = p4.second;
+    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 5u] = p5.second;
+    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 6u] = p6.second;
+    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 7u] = p7.second;
+    if (c.w > 0.0) {
+        for (var q = 0u; q < 6u; q++) {
+            let at = 2u * ROW_VECTORS * g + 8u + q;
+            rows[ROW_VECTORS * g + 8u + q] = harmonics[q].value;
+            moments[at] = harmonics[q].first;
+            moments[at + ROW_VECTORS] = harmonics[q].second;
+        }
+    }
     steps[g] = taken_steps;
     return terms;
 }

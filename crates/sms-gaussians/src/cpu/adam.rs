@@ -3,8 +3,8 @@
 use super::lanes::{Chunk, Lanes, WIDTH, by_simd};
 use crate::LearningRates;
 use crate::parameters::{
-    AFFINITY, COLOR, ClassifierState, LOG_SCALE, LOGIT_LIMIT, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION,
-    ROW, Row, SCALE_RANGE,
+    AFFINITY, COLOR, ClassifierState, HARMONICS, LOG_SCALE, LOGIT_LIMIT, LOGIT_OPACITY, PARAMETERS, POSITION,
+    ROTATION, ROW, Row, SCALE_RANGE,
 };
 
 const BETA1: f32 = 0.9;
@@ -24,7 +24,8 @@ pub(super) fn rates_of_row(rates: &LearningRates) -> Row {
     row[LOG_SCALE..LOGIT_OPACITY].fill(rates.log_scale);
     row[LOGIT_OPACITY] = rates.opacity;
     row[COLOR..AFFINITY].fill(rates.color);
-    row[AFFINITY..PARAMETERS].fill(rates.affinity);
+    row[AFFINITY..HARMONICS].fill(rates.affinity);
+    row[HARMONICS..PARAMETERS].fill(rates.harmonics);
     Row(row)
 }
 
@@ -66,6 +67,8 @@ fn descend<L: Lanes>(
     seen: &[bool],
     rates: &Row,
 ) {
+    // Without view-dependent colour, the rest is zero.
+    let chunks = if rates.0[HARMONICS] > 0.0 { ROW / WIDTH } else { HARMONICS.div_ceil(WIDTH) };
     for i in 0..rows.len() {
         if !seen[i] || !gradients[i].0.iter().all(|g| g.is_finite()) {
             continue;
@@ -78,7 +81,7 @@ fn descend<L: Lanes>(
         let (v, _) = second[i].0.as_chunks_mut::<WIDTH>();
         let (g, _) = gradients[i].0.as_chunks::<WIDTH>();
         let (rate, _) = rates.0.as_chunks::<WIDTH>();
-        for k in 0..ROW / WIDTH {
+        for k in 0..chunks {
             update::<L>(&mut values[k], &mut m[k], &mut v[k], &g[k], &rate[k], correction);
         }
         if constrain(&mut row) {

@@ -8,7 +8,7 @@ use super::lanes::{Lanes, NONE, WIDTH, array, by_simd};
 use super::perceptron;
 use super::planes::Aligned;
 use super::prefetch::prefetch;
-use super::project::{Outline, Projected};
+use super::project::{CameraView, Outline, Projected};
 use super::ssim::SsimScratch;
 use super::target::TileGrid;
 use super::tile::{BAND_ROWS, BAND_TILES, PATCH_ROWS, PATCHES, PatchGradient, Splat, SplatGradient, TILE};
@@ -160,6 +160,7 @@ fn bin<L: Lanes>(
     members: &[u32],
     projected: &[Projected],
     rows: &[Row],
+    view: &CameraView,
     grid: &TileGrid,
     y: usize,
 ) {
@@ -174,7 +175,7 @@ fn bin<L: Lanes>(
             prefetch(&rows[next as usize]);
         }
         let projected = &projected[gaussian as usize];
-        band.splats.push(projected.splat(&rows[gaussian as usize]));
+        band.splats.push(projected.splat(&rows[gaussian as usize], view));
         band.order.push(Key { depth: projected.depth_bits(), position: position as u32 });
     }
     for two in members.chunks(2) {
@@ -287,7 +288,8 @@ const _: () = assert!(WIDTH == 2 * BAND_PATCHES);
 by_simd! {
     /// Collects a band's splats and lists them by patch.
     fn bin_band = bin(
-        band: &mut Band, members: &[u32], projected: &[Projected], rows: &[Row], grid: &TileGrid, y: usize,
+        band: &mut Band, members: &[u32], projected: &[Projected], rows: &[Row], view: &CameraView,
+        grid: &TileGrid, y: usize,
     )
 }
 

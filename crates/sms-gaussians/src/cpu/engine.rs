@@ -109,6 +109,7 @@ impl Engine {
                     slots.members(index),
                     projected,
                     &parameters.rows,
+                    view,
                     &grid,
                     index * BAND_ROWS,
                 );
@@ -165,7 +166,7 @@ impl Engine {
         self.blend(parameters, &target.view, Some(Observed { target, sample }));
         self.similarities(target, &config.weights);
         self.pixels(parameters, target, config, sample);
-        let flats = self.gaussians(parameters, &target.view, &config.weights);
+        let flats = self.gaussians(parameters, &target.view, config);
         for band in &self.bands {
             self.times.add(&band.times);
         }
@@ -306,7 +307,7 @@ impl Engine {
     }
 
     /// Gradients of all Gaussians, regularisers included; returns the isotropic and the flatness term.
-    fn gaussians(&mut self, parameters: &Parameters, view: &CameraView, weights: &LossWeights) -> [f64; 2] {
+    fn gaussians(&mut self, parameters: &Parameters, view: &CameraView, config: &TrainConfig) -> [f64; 2] {
         let start = Instant::now();
         let count = parameters.rows.len();
         self.gradients.resize(count, Row::ZERO);
@@ -325,7 +326,7 @@ impl Engine {
                 seen.iter().filter(|s| **s).count()
             })
             .sum();
-        let shared = GradientInputs { bands, slots, view, weights, share: 1.0 / in_view.max(1) as f32 };
+        let shared = GradientInputs { bands, slots, view, config, share: 1.0 / in_view.max(1) as f32 };
         self.gradients
             .par_chunks_mut(GAUSSIANS)
             .zip(parameters.rows.par_chunks(GAUSSIANS))

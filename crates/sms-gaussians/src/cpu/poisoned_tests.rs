@@ -1,6 +1,7 @@
 //! Ten thousand damaged inputs through real steps: parameters, losses and images stay finite.
 
 use super::*;
+use crate::harmonics::BASIS;
 use crate::parameters::LOGIT_LIMIT;
 use crate::{AFFINITY_DIM, DepthTerm, LearningRates, LossWeights};
 use glamx::{DPose3, DQuat, DVec3, Quat};
@@ -86,8 +87,12 @@ impl Draw {
             scale: self.vector(0.001, 0.2),
             opacity: self.number(0.05, 0.99),
             color: self.vector(0.0, 1.0).to_array(),
+            harmonics: [0.0; 3 * BASIS],
             affinity: [0.0; AFFINITY_DIM],
         };
+        if self.chance(0.5) {
+            seedling.harmonics = [(); 3 * BASIS].map(|()| self.number(-1.0, 1.0));
+        }
         for k in 0..AFFINITY_DIM {
             seedling.affinity[k] = self.number(-1.0, 1.0);
         }
@@ -139,6 +144,7 @@ impl Draw {
             rates: LearningRates {
                 position: rate * rates.position,
                 log_scale: rate * rates.log_scale,
+                harmonics: *self.one_of(&[0.0, 2e-3]),
                 ..rates
             },
             depth_term,

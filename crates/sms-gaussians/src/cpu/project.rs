@@ -4,7 +4,8 @@ use super::bands::Span;
 use super::lanes::{Chunk, Lanes, NONE, WIDTH, array, by_simd};
 use super::tile::{BAND_ROWS, FLAT, LOG2_ALPHA_MIN, NORMAL_CHANNEL, Splat};
 use crate::AFFINITY_DIM;
-use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, POSITION, ROTATION, Row};
+use crate::harmonics::{BASIS, basis, difference};
+use crate::parameters::{AFFINITY, COLOR, HARMONICS, LOG_SCALE, LOGIT_OPACITY, POSITION, ROTATION, Row};
 use glamx::Mat3;
 use sms_core::Camera;
 use std::f32::consts::{LN_2, LOG2_E};
@@ -43,6 +44,8 @@ pub(super) struct CameraView {
     /// Rotation from the world to the camera, row by row.
     pub(super) r_cw: [[f32; 3]; 3],
     pub(super) t_cw: [f32; 3],
+    /// Centre of projection in the world.
+    eye_w: [f32; 3],
     /// Focal lengths.
     pub(super) focal: [f32; 2],
     /// Principal point.
@@ -63,12 +66,31 @@ impl CameraView {
         Self {
             r_cw: Mat3::from_quat(x_cw.rotation.as_quat()).transpose().to_cols_array_2d(),
             t_cw: x_cw.translation.as_vec3().to_array(),
+            eye_w: camera.center_w().as_vec3().to_array(),
             focal: [k.fx as f32, k.fy as f32],
             center: [k.cx as f32, k.cy as f32],
             limit: [limits(k.cx, k.fx, k.width as f64), limits(k.cy, k.fy, k.height as f64)],
             width: k.width,
             height: k.height,
         }
+    }
+
+    /// Returns the vector from the camera to a Gaussian, metres in the world.
+    #[inline(always)]
+    pub(super) fn direction_w(&self, Row(row): &Row) -> [f32; 3] {
+        array!(3, |i| row[POSITION + i] - self.eye_w[i])
+    }
+
+    /// Returns the colour of a Gaussian in this view.
+    #[inline(always)]
+    fn color_of(&self, row: &Row) -> [f32; 3] {
+        let coefficients = row.0[HARMONICS..].first_chunk::<{ 3 * BASIS }>().expect("a row is longer");
+        let color = array!(3, |c| row.0[COLOR + c]);
+        if *coefficients == [0.0; 3 * BASIS] {
+            return color;
+        }
+        let difference = difference(coefficients, &basis(self.direction_w(row)));
+        array!(3, |c| color[c] + difference[c])
     }
 }
 
@@ -277,9 +299,9 @@ const DEPTH_SLOPE: usize = 14;
 impl Projected {
     pub(super) const UNSEEN: Self = Self(NONE);
 
-    /// Returns the splat of the Gaussian with parameters `row`.
+    /// Returns the splat in `view` of the Gaussian with parameters `row`.
     #[inline(always)]
-    pub(super) fn splat(&self, Row(row): &Row) -> Splat {
+    pub(super) fn splat(&self, row: &Row, view: &CameraView) -> Splat {
         let p = &self.0;
         let mut splat = Splat {
             mean: [p[MEAN], p[MEAN + 1]],
@@ -289,9 +311,9 @@ impl Projected {
             depth_slope: [p[DEPTH_SLOPE], p[DEPTH_SLOPE + 1]],
             ..Splat::ZERO
         };
-        splat.features[..3].copy_from_slice(&row[COLOR..COLOR + 3]);
+        splat.features[..3].copy_from_slice(&view.color_of(row));
         splat.features[NORMAL_CHANNEL..NORMAL_CHANNEL + 3].copy_from_slice(&p[NORMAL..NORMAL + 3]);
-        splat.features[FLAT - AFFINITY_DIM..].copy_from_slice(&row[AFFINITY..AFFINITY + AFFINITY_DIM]);
+        splat.features[FLAT - AFFINITY_DIM..].copy_from_slice(&row.0[AFFINITY..AFFINITY + AFFINITY_DIM]);
         splat
     }
 

@@ -2,11 +2,12 @@
 
 use super::limits::LOW_PASS;
 use super::*;
+use crate::harmonics::BASIS;
 use crate::oracle::{CHANNELS, Oracle};
-use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, PARAMETERS, ROTATION};
+use crate::parameters::{AFFINITY, COLOR, HARMONICS, LOG_SCALE, PARAMETERS, ROTATION};
 use crate::test_scene::{CLASSES, camera, frame, seedlings};
 use crate::{AFFINITY_DIM, DepthTerm, LossWeights};
-use glamx::{DPose3, Quat};
+use glamx::{DPose3, DQuat, DVec3, Quat};
 use sms_core::Intrinsics;
 
 const SIZE: (usize, usize) = (61, 37);
@@ -46,6 +47,7 @@ fn one_gaussian_is_seen_where_it_is() {
         scale: Vec3::new(0.02, 0.02, 0.002),
         opacity: 0.8,
         color: [0.5, 0.25, 1.0],
+        harmonics: [0.0; 3 * BASIS],
         affinity: [0.1; AFFINITY_DIM],
     }]);
     let maps = trainer.render(&camera);
@@ -89,6 +91,7 @@ fn a_slanted_disc_shows_the_depth_of_its_plane() {
         scale: Vec3::new(0.05, 0.06, 0.0001),
         opacity: 0.9,
         color: [0.5; 3],
+        harmonics: [0.0; 3 * BASIS],
         affinity: [0.0; AFFINITY_DIM],
     }]);
     let maps = trainer.render(&camera);
@@ -153,7 +156,8 @@ const GRADIENT_TOLERANCE: f64 = 1e-4;
 /// group.
 fn compare_gradients(config: &TrainConfig, background: [f32; 3], simd: Simd) -> f64 {
     let mut worst = 0.0f64;
-    let mut trainer = trainer(config, simd);
+    let rates = LearningRates { harmonics: 1e-3, ..config.rates };
+    let mut trainer = trainer(&TrainConfig { rates, ..*config }, simd);
     trainer.set_background(background);
     let terms = trainer.differentiate(0);
     let expected = oracle(&trainer).gradient(&frame(camera(SIZE.0, SIZE.1), Seed(4)));
@@ -181,7 +185,8 @@ fn compare_gradients(config: &TrainConfig, background: [f32; 3], simd: Simd) -> 
         ("scale", LOG_SCALE, LOGIT_OPACITY),
         ("opacity", LOGIT_OPACITY, COLOR),
         ("color", COLOR, AFFINITY),
-        ("affinity", AFFINITY, PARAMETERS),
+        ("affinity", AFFINITY, HARMONICS),
+        ("harmonics", HARMONICS, PARAMETERS),
     ];
     for (name, first, end) in groups {
         let largest = expected.rows.iter().flat_map(|r| &r[first..end]).fold(0.0f64, |m, v| m.max(v.abs()));
@@ -261,6 +266,7 @@ fn equal_depths_leave_opacities_to_the_other_terms() {
             scale: Vec3::new(0.03, 0.03, 0.001),
             opacity: 0.6,
             color: [0.5; 3],
+            harmonics: [0.0; 3 * BASIS],
             affinity: [0.0; AFFINITY_DIM],
         };
         trainer.insert(&[disc(-1), disc(0), disc(1)]);
@@ -381,6 +387,7 @@ fn damaged_numbers_never_reach_a_parameter() {
         ("NaN scale", false, Seedling { scale: Vec3::splat(nan), ..good }),
         ("infinite opacity", false, Seedling { opacity: inf, ..good }),
         ("NaN color", false, Seedling { color: [nan; 3], ..good }),
+        ("NaN harmonics", false, Seedling { harmonics: [nan; 3 * BASIS], ..good }),
         ("NaN affinity", false, Seedling { affinity: [nan; AFFINITY_DIM], ..good }),
         ("zero rotation", true, Seedling { rotation_wg: Quat::from_xyzw(0.0, 0.0, 0.0, 0.0), ..good }),
         ("zero scale", true, Seedling { scale: Vec3::ZERO, ..good }),
@@ -391,6 +398,7 @@ fn damaged_numbers_never_reach_a_parameter() {
         ("opacity above one", true, Seedling { opacity: 7.0, ..good }),
         ("opacity zero", true, Seedling { opacity: 0.0, ..good }),
         ("huge color", true, Seedling { color: [3e38; 3], ..good }),
+        ("huge harmonics", true, Seedling { harmonics: [3e38; 3 * BASIS], ..good }),
         ("huge affinity", true, Seedling { affinity: [-3e38; AFFINITY_DIM], ..good }),
         ("far away", true, Seedling { position_w: Vec3::splat(1e30), ..good }),
         ("in the camera", true, Seedling { position_w: camera.center_w().as_vec3(), ..good }),
@@ -516,8 +524,9 @@ fn a_share_of_the_segmentation_estimates_the_whole() {
             println!("{name}: mean over {steps} steps off by {error:.1e} of the largest");
             assert!(error < 0.01, "{name}: {error}");
         };
-        let flat =
-            |rows: &[[f64; PARAMETERS]]| rows.iter().flat_map(|r| r[AFFINITY..].to_vec()).collect::<Vec<_>>();
+        let flat = |rows: &[[f64; PARAMETERS]]| {
+            rows.iter().flat_map(|r| r[AFFINITY..HARMONICS].to_vec()).collect::<Vec<_>>()
+        };
         let exact: Vec<[f64; PARAMETERS]> =
             whole.engine.gradients.iter().map(|r| std::array::from_fn(|k| f64::from(r.0[k]))).collect();
         close(&flat(&rows), &flat(&exact), "affinities");
@@ -546,4 +555,50 @@ fn a_share_of_the_segmentation_resumes_bit_by_bit_on_any_number_of_threads() {
     let once = run(1, false);
     assert_eq!(once, run(3, true));
     assert_eq!(once, run(2, false));
+}
+
+#[test]
+fn a_disc_shows_each_camera_its_own_colour() {
+    let disc = Seedling {
+        position_w: Vec3::ZERO,
+        rotation_wg: Quat::IDENTITY,
+        scale: Vec3::new(0.5, 0.5, 0.01),
+        opacity: 0.99,
+        color: [0.5; 3],
+        harmonics: [0.0; 3 * BASIS],
+        affinity: [0.0; AFFINITY_DIM],
+    };
+    let rates = LearningRates { color: 5e-3, harmonics: 5e-3, ..LearningRates::default().scaled(0.0) };
+    let weights = LossWeights { ssim: 0.0, segmentation: 0.0, ..LossWeights::default() };
+    let config = TrainConfig { rates, weights, ..TrainConfig::default() };
+    let intrinsics = Intrinsics::from_fov(16, 16, 0.2);
+    // From the left it is red, from the right blue, one metre away at 45°.
+    let views = [(1.0, [0.8, 0.2, 0.2]), (-1.0, [0.2, 0.2, 0.8])].map(|(side, color)| {
+        let rotation = DQuat::from_rotation_y(side * std::f64::consts::FRAC_PI_4);
+        let pose = DPose3::from_parts(rotation * DVec3::new(0.0, 0.0, -1.0), rotation);
+        (Camera::new(intrinsics, pose), color)
+    });
+    let difference = |config: &TrainConfig| {
+        let mut trainer = CpuTrainer::new(config, 1, Seed(1));
+        trainer.insert(&[disc]);
+        let pixels = intrinsics.width * intrinsics.height;
+        for (camera, color) in views {
+            let (depth, normal_w, label) =
+                (vec![0.0; pixels], vec![[0.0; 3]; pixels], vec![u16::MAX; pixels]);
+            trainer.add_frame(TrainFrame { camera, color: vec![color; pixels], depth, normal_w, label });
+        }
+        for _ in 0..400 {
+            trainer.steps(&[0, 1]);
+        }
+        let of_view = |(camera, color): &(Camera, [f32; 3])| {
+            let shown = trainer.render(camera).color[pixels / 2 + intrinsics.width / 2];
+            (0..3).map(|c| (shown[c] - color[c]).abs()).fold(0.0, f32::max)
+        };
+        views.iter().map(of_view).fold(0.0, f32::max)
+    };
+    let own = difference(&config);
+    assert!(own < 0.03, "{own}");
+    let constant = LearningRates { harmonics: 0.0, ..rates };
+    let mean = difference(&TrainConfig { rates: constant, ..config });
+    assert!((0.25..0.35).contains(&mean), "{mean}");
 }

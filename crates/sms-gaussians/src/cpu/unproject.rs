@@ -4,8 +4,11 @@ use super::bands::{Band, Slots};
 use super::lanes::{Chunk, Lanes, NONE, WIDTH, array, by_simd};
 use super::project::{CameraView, Linearized, Vectors, columns, conic, cross, dot, linearize};
 use super::tile::{COLOR_CHANNEL, DEPTH_COLUMN, MOMENTS, NORMAL_CHANNEL, SplatGradient};
-use crate::LossWeights;
-use crate::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION, Row};
+use crate::harmonics::basis;
+use crate::parameters::{
+    AFFINITY, COLOR, HARMONICS, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION, Row,
+};
+use crate::{LossWeights, TrainConfig};
 
 /// Inputs shared by the gradients of all Gaussians.
 #[derive(Clone, Copy)]
@@ -13,7 +16,7 @@ pub(super) struct GradientInputs<'a> {
     pub(super) bands: &'a [Band],
     pub(super) slots: &'a Slots,
     pub(super) view: &'a CameraView,
-    pub(super) weights: &'a LossWeights,
+    pub(super) config: &'a TrainConfig,
     /// One over the number of Gaussians in view.
     pub(super) share: f32,
 }
@@ -51,7 +54,7 @@ fn unproject<L: Lanes>(
             *to = L::load(&from.geometry);
         }
         let mut out = carry(&m, &L::transpose(geometry), shared.view);
-        let terms = regularize(&m, shared.weights, shared.share, &mut out);
+        let terms = regularize(&m, &shared.config.weights, shared.share, &mut out);
         for (sum, term) in sums.iter_mut().zip(terms) {
             *sum = *sum + term.keep(seen);
         }
@@ -65,7 +68,13 @@ fn unproject<L: Lanes>(
             *gradient = Row::ZERO;
             gradient.0[..AFFINITY].copy_from_slice(&geometry[..AFFINITY]);
             if bits >> i & 1 != 0 {
-                gradient.0[AFFINITY..PARAMETERS].copy_from_slice(&collected[i].affinity);
+                gradient.0[AFFINITY..HARMONICS].copy_from_slice(&collected[i].affinity);
+                if shared.config.rates.harmonics > 0.0 {
+                    let basis = basis(shared.view.direction_w(&rows[i]));
+                    for (i, to) in gradient.0[HARMONICS..PARAMETERS].iter_mut().enumerate() {
+                        *to = basis[i / 3] * geometry[COLOR + i % 3];
+                    }
+                }
             }
         }
     }

@@ -6,7 +6,7 @@
 //! the most confident Gaussian of the voted label. Classifier, renders and labels then stay consistent.
 
 use super::config::ScanConfig;
-use crate::parameters::{AFFINITY, PARAMETERS, Parameters};
+use crate::parameters::{AFFINITY, HARMONICS, Parameters};
 use crate::{AFFINITY_DIM, GaussianModel};
 use sms_core::LabelMap;
 use sms_frames::Frame;
@@ -28,9 +28,9 @@ pub(crate) fn correct_labels(
     for (i, vote) in votes.iter().enumerate() {
         let Some(label) = vote.filter(|&label| label != model.labels[i]) else { continue };
         if let Some(affinity) = surest[usize::from(label)] {
-            parameters.rows[i].0[AFFINITY..PARAMETERS].copy_from_slice(&affinity);
+            parameters.rows[i].0[AFFINITY..HARMONICS].copy_from_slice(&affinity);
             // Otherwise the moments would move the affinity back.
-            parameters.first[i].0[AFFINITY..PARAMETERS].fill(0.0);
+            parameters.first[i].0[AFFINITY..HARMONICS].fill(0.0);
         }
     }
 }
@@ -111,6 +111,7 @@ mod tests {
             scale: Vec3::splat(1e-3),
             opacity: 0.5,
             color: [0.5; 3],
+            harmonics: [0.0; 24],
             affinity: affinity(label),
         };
         let hidden = BALL_CENTER.as_vec3();

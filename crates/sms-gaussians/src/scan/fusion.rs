@@ -58,6 +58,7 @@ mod tests {
             scale: Vec3::new(3e-3, 3e-3, 3e-4),
             opacity: 0.5,
             color: [0.5; 3],
+            harmonics: [0.0; 24],
             affinity: [0.0; AFFINITY_DIM],
         };
         let mut trainer = CpuTrainer::new(&TrainConfig::default(), 3, Seed(1));
@@ -108,6 +109,7 @@ mod tests {
                     scale: Vec3::new(3e-3, 1e-3, 3e-4),
                     opacity: 0.5,
                     color: [0.5; 3],
+                    harmonics: [0.0; 24],
                     affinity: [0.0; AFFINITY_DIM],
                 }]);
                 trainer.edit(&mut |p| fuse(p, &frames, &ScanConfig::default())).unwrap();

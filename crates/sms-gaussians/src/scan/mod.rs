@@ -35,7 +35,7 @@ mod tests;
 #[cfg(test)]
 mod watched_tests;
 
-pub use config::{Preset, PruningConfig, ScanConfig, ScanOrder, SeedingConfig, StopConfig};
+pub use config::{FusedConfig, Preset, PruningConfig, ScanConfig, ScanOrder, SeedingConfig, StopConfig};
 pub use error::ScanError;
 pub use evaluate::ViewScore;
 pub use losses::LossSample;

@@ -1,6 +1,7 @@
 //! The model as a standard 3D Gaussian Splatting `.ply` for viewers. Affinities, labels, their confidence and `measured` (1 on a
 //! measured surface, else 0; without it, all are) are additional properties that viewers ignore. Classifier and background are in a separate file.
 
+use crate::harmonics::BASIS;
 use crate::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM, Seedling};
 use glamx::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
@@ -50,7 +51,7 @@ pub fn write_ply(model: &GaussianModel, path: &Path) -> Result<(), CoreError> {
     atomic::write_json(&classifier_path(path), &file)?;
     let column = |value: &dyn Fn(usize) -> f32| VertexColumn::F32((0..model.len()).map(value).collect());
     let normals: Vec<Vec3> = (0..model.len()).map(|i| model.disc(i).0).collect();
-    let names = property_names();
+    let names = property_names(if model.harmonics.is_empty() { 0 } else { BASIS });
     let columns: Vec<(&str, VertexColumn)> = names
         .iter()
         .map(|name| {
@@ -63,6 +64,8 @@ pub fn write_ply(model: &GaussianModel, path: &Path) -> Result<(), CoreError> {
                 "ny" => column(&|i| normals[i].y),
                 "nz" => column(&|i| normals[i].z),
                 "f_dc" => column(&|i| (model.colors[i][k] - 0.5) / SH_C0),
+                // Channel by channel, as viewers expect it.
+                "f_rest" => column(&|i| model.harmonics[i][3 * (k % BASIS) + k / BASIS]),
                 "opacity" => column(&|i| logit(model.opacities[i])),
                 "scale" => column(&|i| model.scales[i][k].ln()),
                 "rot" => column(&|i| wxyz(model.rotations_wg[i])[k]),
@@ -77,13 +80,15 @@ pub fn write_ply(model: &GaussianModel, path: &Path) -> Result<(), CoreError> {
     ply::write(path, &["frame: world, metres, z up"], &columns)
 }
 
-/// All properties in order: the standard ones, then those of this crate.
-fn property_names() -> Vec<String> {
-    let standard = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"];
-    let shape = ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+/// All properties in order: the standard ones with `basis` harmonics, then those of this crate.
+fn property_names(basis: usize) -> Vec<String> {
+    let standard = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].map(str::to_owned);
+    let harmonics = (0..3 * basis).map(|k| format!("f_rest_{k}"));
+    let shape = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
     let affinities = (0..AFFINITY_DIM).map(|k| format!("affinity_{k}"));
     let own = ["label", "confidence", "measured"].map(str::to_owned);
-    standard.into_iter().chain(shape).map(str::to_owned).chain(affinities).chain(own).collect()
+    let shape = shape.map(str::to_owned);
+    standard.into_iter().chain(harmonics).chain(shape).chain(affinities).chain(own).collect()
 }
 
 /// `rot_2` → (`rot`, 2).
@@ -124,9 +129,14 @@ pub fn read_ply(path: &Path) -> Result<GaussianModel, CoreError> {
     if let Some(measured) = table.column("measured").filter(|m| m.contains(&0.0)) {
         model.measured = measured.iter().map(|m| *m != 0.0).collect();
     }
+    let harmonics = harmonics_of(&table, path)?;
     for i in 0..table.len {
         model.positions_w.push(Vec3::from_array(positions.map(|c| c[i] as f32)));
         model.colors.push(colors.map(|c| 0.5 + SH_C0 * c[i] as f32));
+        if let Some(channels) = &harmonics {
+            let value = |j: usize| channels[j % 3].get(j / 3).map_or(0.0, |column| column[i] as f32);
+            model.harmonics.push(std::array::from_fn(value));
+        }
         model.opacities.push((1.0 / (1.0 + (-opacities[i]).exp())) as f32);
         model.scales.push(Vec3::from_array(scales.map(|c| c[i].exp() as f32)));
         let [w, x, y, z] = rotations.map(|c| c[i] as f32);
@@ -162,6 +172,23 @@ fn columns<'a, const N: usize>(
     Ok(found)
 }
 
+/// Returns the columns of the harmonics by channel, without those of degree 3; `None` if there are none.
+fn harmonics_of<'a>(table: &'a VertexTable, path: &Path) -> Result<Option<[Vec<&'a [f64]>; 3]>, CoreError> {
+    let name = |k: usize| format!("f_rest_{k}");
+    let of_channel = (0..).take_while(|k| table.column(&name(*k)).is_some()).count() / 3;
+    if of_channel == 0 {
+        return Ok(None);
+    }
+    let mut channels = [(); 3].map(|()| Vec::new());
+    for (c, columns_of_channel) in channels.iter_mut().enumerate() {
+        for k in 0..of_channel.min(BASIS) {
+            let [column] = columns(table, path, [name(c * of_channel + k).as_str()])?;
+            columns_of_channel.push(column);
+        }
+    }
+    Ok(Some(channels))
+}
+
 /// The classifier and the background.
 fn read_classifier(path: &Path) -> Result<(Classifier, [f32; 3]), CoreError> {
     if !path.exists() {
@@ -189,6 +216,7 @@ pub(crate) fn seedlings_of(model: &GaussianModel) -> Vec<Seedling> {
             scale: model.scales[i],
             opacity: model.opacities[i],
             color: model.colors[i],
+            harmonics: model.harmonics.get(i).copied().unwrap_or([0.0; 3 * BASIS]),
             affinity: model.affinities[i],
         })
         .collect()
@@ -221,6 +249,7 @@ mod tests {
             model.scales.push(Vec3::new(draw(1e-4, 0.1), draw(1e-4, 0.1), draw(1e-5, 0.1)));
             model.opacities.push(draw(0.01, 0.99));
             model.colors.push([draw(0.0, 1.0), draw(0.0, 1.0), draw(0.0, 1.0)]);
+            model.harmonics.push(std::array::from_fn(|_| draw(-0.5, 0.5)));
             let affinity = std::array::from_fn(|_| draw(-2.0, 2.0));
             let (label, confidence) = model.classifier.classify(&affinity);
             model.affinities.push(affinity);
@@ -239,6 +268,7 @@ mod tests {
         let read = read_ply(&path).unwrap();
         assert_eq!((&read.classifier, read.background), (&written.classifier, written.background));
         assert_eq!((&read.positions_w, &read.affinities), (&written.positions_w, &written.affinities));
+        assert_eq!(read.harmonics, written.harmonics);
         assert_eq!((&read.labels, &read.label_confidence), (&written.labels, &written.label_confidence));
         for i in 0..written.len() {
             assert!(((read.scales[i] - written.scales[i]) / written.scales[i]).abs().max_element() < 1e-5);
@@ -259,23 +289,25 @@ mod tests {
         let mut expected = String::from(
             "ply\nformat binary_little_endian 1.0\ncomment frame: world, metres, z up\nelement vertex 2\n",
         );
-        let standard =
-            "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
-        let names = standard.split(' ').map(str::to_owned);
+        let standard = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2";
+        let shape = "opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
+        let harmonics = (0..24).map(|k| format!("f_rest_{k}"));
+        let names = standard.split(' ').map(str::to_owned).chain(harmonics);
+        let names = names.chain(shape.split(' ').map(str::to_owned));
         let own = (0..16)
             .map(|k| format!("affinity_{k}"))
             .chain(["label", "confidence", "measured"].map(String::from));
         names.chain(own).for_each(|n| expected.push_str(&format!("property float {n}\n")));
         expected.push_str("end_header\n");
         assert_eq!(std::str::from_utf8(&bytes[..end]).unwrap(), expected);
-        assert_eq!(bytes.len() - end, 2 * 36 * 4);
+        assert_eq!(bytes.len() - end, 2 * 60 * 4);
     }
 
     #[test]
     fn files_of_other_programs_are_read_and_broken_ones_refused() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("other.ply");
-        let standard: Vec<String> = property_names().into_iter().take(17).collect();
+        let standard: Vec<String> = property_names(0).into_iter().take(17).collect();
         let mut columns: Vec<(&str, VertexColumn)> =
             standard.iter().map(|n| (n.as_str(), VertexColumn::F32(vec![0.0, 0.5]))).collect();
         ply::write(&path, &[], &columns).unwrap();

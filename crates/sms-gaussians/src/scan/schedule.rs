@@ -256,6 +256,7 @@ impl<'a> Schedule<'a> {
         let (began, mut stepping_s) = (Instant::now(), 0.0);
         self.seed_slot()?;
         let mut stop = self.config.stop;
+        stop.enabled &= self.config.schedule == ScanOrder::Sequential;
         if self.is_refinement() {
             // Every frame is in both windows of the comparison.
             stop.window = stop.window.max(self.trained.len().div_ceil(self.batch()));
@@ -480,6 +481,7 @@ impl<'a> Schedule<'a> {
     fn batch_at(&self, step: usize) -> StepBatch {
         let mut rates = self.config.train.rates;
         if self.is_refinement() {
+            rates = self.config.last_rates();
             let done = step as f32 / self.config.last_steps().max(1) as f32;
             rates = rates.scaled(self.config.final_decay.powf(done.min(1.0)));
         }

@@ -1,6 +1,6 @@
 //! The scan as a whole on the analytic recording: exact resume, threads, quality.
 
-use super::config::{Preset, ScanConfig, ScanOrder};
+use super::config::{FusedConfig, Preset, ScanConfig, ScanOrder};
 use super::fixture::{self, BALL, BOX, SMALL, record, signed_distance_m};
 use super::ply::read_ply;
 use super::schedule::{ScanResult, scan};
@@ -22,7 +22,7 @@ pub(super) const SEED: Seed = Seed(5);
 /// Few steps, for many runs; every part of the schedule occurs.
 pub(super) fn quick() -> ScanConfig {
     let mut config = ScanConfig {
-        fused_steps: 200,
+        fused: FusedConfig { steps: 200, ..FusedConfig::default() },
         steps_first: 40,
         steps_frame: 20,
         final_steps: 20,
@@ -322,12 +322,12 @@ fn gaussians_fill_what_has_no_depth_and_are_marked() {
     }
     let dir = tempfile::tempdir().unwrap();
     let mut config = ScanConfig { schedule: ScanOrder::Fused, ..quick() };
-    config.stop.enabled = false;
     let recording = (sequence, labels);
     let of = |config: &ScanConfig| run(&recording, config, dir.path(), None, &Warnings::new()).unwrap();
     let filled = of(&config);
     let read = read_ply(&dir.path().join("scene.ply")).unwrap();
     assert_eq!(read.measured, filled.model.measured);
+    assert_eq!((read.harmonics.len(), &read.harmonics), (read.len(), &filled.model.harmonics));
     let model = &filled.model;
     let unmeasured: Vec<usize> = (0..model.len()).filter(|&i| !model.is_measured(i)).collect();
     assert!(unmeasured.len() > 50 && unmeasured.len() < model.len() / 2);

@@ -1,7 +1,7 @@
 //! Ranges of the scan's settings.
 
 use super::config::ScanConfig;
-use crate::TrainConfig;
+use crate::{LearningRates, TrainConfig};
 use sms_core::{InputError, Ranges};
 
 impl ScanConfig {
@@ -13,7 +13,7 @@ impl ScanConfig {
         let r = Ranges::of("scan");
         let (seeding, pruning, stop) = (&self.seeding, &self.pruning, &self.stop);
         for (key, value, low, high) in [
-            ("fused_steps", self.fused_steps, 0, 100_000_000),
+            ("fused.steps", self.fused.steps, 0, 100_000_000),
             ("steps_first", self.steps_first, 0, 10_000_000),
             ("steps_frame", self.steps_frame, 0, 10_000_000),
             ("final_steps", self.final_steps, 0, 100_000_000),
@@ -57,6 +57,7 @@ impl ScanConfig {
         ] {
             r.within(key, value, low, high)?;
         }
+        self.fused.rates.validate("scan", "fused.rates.")?;
         self.train.validate("scan", "train.")
     }
 }
@@ -68,7 +69,7 @@ impl TrainConfig {
     /// [`InputError`] with the key of the first invalid value, the value and its range.
     pub fn validate(&self, section: &str, prefix: &str) -> Result<(), InputError> {
         let r = Ranges::of(section);
-        let (w, rates) = (&self.weights, &self.rates);
+        let w = &self.weights;
         for (key, value) in [
             ("color", w.color),
             ("isotropic", w.isotropic),
@@ -80,18 +81,28 @@ impl TrainConfig {
             r.within(&format!("{prefix}weights.{key}"), value, 0.0, 1e6)?;
         }
         r.within(&format!("{prefix}weights.ssim"), w.ssim, 0.0, 1.0)?;
-        for (key, value) in [
-            ("position", rates.position),
-            ("log_scale", rates.log_scale),
-            ("rotation", rates.rotation),
-            ("opacity", rates.opacity),
-            ("color", rates.color),
-            ("affinity", rates.affinity),
-            ("classifier", rates.classifier),
-        ] {
-            r.within(&format!("{prefix}rates.{key}"), value, 0.0, 1.0)?;
-        }
+        self.rates.validate(section, &format!("{prefix}rates."))?;
         r.within(&format!("{prefix}segmentation_share"), self.segmentation_share, 0.01, 1.0)?;
+        Ok(())
+    }
+}
+
+impl LearningRates {
+    /// Validates all values, as part of `section`, under `prefix` (as in `train.rates.`).
+    fn validate(&self, section: &str, prefix: &str) -> Result<(), InputError> {
+        let r = Ranges::of(section);
+        for (key, value) in [
+            ("position", self.position),
+            ("log_scale", self.log_scale),
+            ("rotation", self.rotation),
+            ("opacity", self.opacity),
+            ("color", self.color),
+            ("harmonics", self.harmonics),
+            ("affinity", self.affinity),
+            ("classifier", self.classifier),
+        ] {
+            r.within(&format!("{prefix}{key}"), value, 0.0, 1.0)?;
+        }
         Ok(())
     }
 }

@@ -10,8 +10,11 @@ mod project;
 pub use loss::{CHANNELS, OracleTerms};
 use project::{CONIC, DEPTH, MEAN, NORMAL, OPACITY_SHARE, OUTPUTS, Projection, project};
 use sms_core::Camera;
+use sms_gaussians::harmonics::BASIS;
 use sms_gaussians::limits::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
-use sms_gaussians::parameters::{AFFINITY, COLOR, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, Parameters};
+use sms_gaussians::parameters::{
+    AFFINITY, COLOR, HARMONICS, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, Parameters,
+};
 use sms_gaussians::{AFFINITY_DIM, TrainConfig, TrainFrame};
 
 /// Parameters and settings in double precision.
@@ -33,6 +36,8 @@ pub struct Oracle {
     /// Changes of depth per pixel in place of the Gaussians' own: for finite differences, because the gradient holds
     /// them constant.
     pub depth_slopes: Option<Vec<[f64; 2]>>,
+    /// Values of the harmonics in place of the Gaussians' own, for the same reason.
+    pub bases: Option<Vec<[f64; BASIS]>>,
 }
 
 /// A rendered image.
@@ -72,6 +77,7 @@ struct OracleSplat {
     projection: Projection,
     opacity: f64,
     depth_slope: [f64; 2],
+    basis: [f64; BASIS],
     /// At the centre.
     features: [f64; CHANNELS],
 }
@@ -83,6 +89,39 @@ impl OracleSplat {
         features[loss::DEPTH] += self.depth_slope[0] * dx + self.depth_slope[1] * dy;
         features
     }
+}
+
+/// Real spherical harmonics of degrees 1 and 2 in the viewing direction, from their definition by associated Legendre functions
+/// with the phase (−1)ᵐ: m from −1 to 1, then from −2 to 2.
+fn own_basis(row: &[f64; PARAMETERS], camera: &Camera) -> [f64; BASIS] {
+    let p_w = glamx::DVec3::from_slice(&row[POSITION..POSITION + 3]);
+    let d = (p_w - camera.center_w()).normalize();
+    let (cos, sin, azimuth) = (d.z, d.truncate().length(), d.y.atan2(d.x));
+    let pi = std::f64::consts::PI;
+    let factorial = |n: u32| f64::from((1..=n).product::<u32>());
+    let value = |degree: u32, order: i32| {
+        let m = order.unsigned_abs();
+        let legendre = match (degree, m) {
+            (1, 0) => cos,
+            (1, 1) => -sin,
+            (2, 0) => 1.5 * cos * cos - 0.5,
+            (2, 1) => -3.0 * cos * sin,
+            _ => 3.0 * sin * sin,
+        };
+        let norm =
+            (f64::from(2 * degree + 1) / (4.0 * pi) * factorial(degree - m) / factorial(degree + m)).sqrt();
+        let turn = f64::from(m) * azimuth;
+        norm * legendre
+            * match order {
+                0 => 1.0,
+                1.. => 2f64.sqrt() * turn.cos(),
+                _ => 2f64.sqrt() * turn.sin(),
+            }
+    };
+    let orders = (-1..=1).map(|m| (1, m)).chain((-2..=2).map(|m| (2, m)));
+    let mut basis = [0.0; BASIS];
+    basis.iter_mut().zip(orders).for_each(|(to, (degree, order))| *to = value(degree, order));
+    basis
 }
 
 fn sigmoid(x: f64) -> f64 {
@@ -100,6 +139,7 @@ impl Oracle {
             config: *config,
             cutoffs,
             depth_slopes: None,
+            bases: None,
         }
     }
 
@@ -107,14 +147,19 @@ impl Oracle {
         let splat = |(i, row): (usize, &[f64; PARAMETERS])| {
             let projection = project(row, camera)?;
             let mut features = [0.0; CHANNELS];
-            features[loss::COLOR..loss::COLOR + 3].copy_from_slice(&row[COLOR..COLOR + 3]);
+            let basis = self.bases.as_ref().map_or_else(|| own_basis(row, camera), |held| held[i]);
+            for c in 0..3 {
+                let terms = (0..BASIS).map(|k| basis[k] * row[HARMONICS + 3 * k + c]);
+                features[loss::COLOR + c] = row[COLOR + c] + terms.sum::<f64>();
+            }
             features[loss::DEPTH] = projection.value(DEPTH);
             (0..3).for_each(|k| features[loss::NORMAL + k] = projection.value(NORMAL + k));
             features[loss::AFFINITY..loss::AFFINITY + AFFINITY_DIM]
                 .copy_from_slice(&row[AFFINITY..AFFINITY + AFFINITY_DIM]);
             features[loss::OPACITY] = 1.0;
             let depth_slope = self.depth_slopes.as_ref().map_or(projection.depth_slope, |held| held[i]);
-            Some(OracleSplat { projection, opacity: sigmoid(row[LOGIT_OPACITY]), depth_slope, features })
+            let opacity = sigmoid(row[LOGIT_OPACITY]);
+            Some(OracleSplat { projection, opacity, depth_slope, basis, features })
         };
         self.rows.iter().enumerate().map(splat).collect()
     }
@@ -200,6 +245,11 @@ impl Oracle {
         self.splats(camera).iter().map(slope).collect()
     }
 
+    /// The values of the harmonics of every Gaussian, to be held in finite differences.
+    pub fn own_bases(&self, camera: &Camera) -> Vec<[f64; BASIS]> {
+        self.rows.iter().map(|row| own_basis(row, camera)).collect()
+    }
+
     /// The terms of the loss; `held` replaces the divisor of depth.
     pub fn terms(&self, frame: &TrainFrame, held: Option<&[f64]>) -> OracleTerms {
         let image = self.render(&frame.camera);
@@ -266,6 +316,9 @@ impl Oracle {
             rows[i][LOGIT_OPACITY] = d_logit[i];
             (0..3).for_each(|k| rows[i][COLOR + k] = d_features[i][loss::COLOR + k]);
             (0..AFFINITY_DIM).for_each(|k| rows[i][AFFINITY + k] = d_features[i][loss::AFFINITY + k]);
+            for (j, to) in rows[i][HARMONICS..].iter_mut().enumerate() {
+                *to = splat.basis[j / 3] * d_features[i][loss::COLOR + j % 3];
+            }
         }
         let mut terms = loss.terms;
         self.regularizers(&image.seen, &mut terms, Some(&mut rows));
