@@ -77,7 +77,7 @@ pub(crate) fn label_discs(
             normal,
             axes: axes.map(|(axis, sigma)| axis.as_dvec3() * f64::from(sigma)),
             opacity: f64::from(model.opacities[i]),
-            color: model.colors[i].map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8),
+            color: model.mean_color(i, normal.as_vec3()).map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8),
         });
     }
     limit_size(&mut discs);

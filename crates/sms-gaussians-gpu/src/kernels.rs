@@ -1,7 +1,7 @@
 //! The compute pipelines, from the sources under `shaders/`.
 
 use crate::gpu::Gpu;
-use crate::rows::DEVICE_ROW;
+use crate::rows::ROW_VECTORS;
 use crate::unroll::unroll;
 use crate::work::STATS;
 use sms_gaussians::limits::{
@@ -105,7 +105,7 @@ fn constants(classes: usize) -> String {
         ("CLASSES", classes as u32),
         ("CLASSIFIER_VECTORS", classifier_vectors(classes)),
         ("CLASSIFIER_GROUPS", classifier_vectors(classes) / 2),
-        ("ROW_VECTORS", DEVICE_ROW as u32 / 4),
+        ("ROW_VECTORS", ROW_VECTORS),
         ("MAX_GROUPS", MAX_GROUPS),
         ("CORRECTIONS", CORRECTIONS),
     ];

@@ -1,12 +1,17 @@
 //! Layout of a Gaussian's parameters in the kernels: vectors of four, so that no group of parameters straddles two. In order:
 //! position and logit of the opacity; rotation; logarithms of the scales; colour; affinity (four); view-dependent colour (six).
 
+use sms_gaussians::harmonics::BASIS;
 use sms_gaussians::parameters::{
     AFFINITY, COLOR, HARMONICS, LOG_SCALE, LOGIT_OPACITY, PARAMETERS, POSITION, ROTATION, ROW, Row,
 };
 
+/// First index of the view-dependent colour.
+const DIRECTED: usize = 32;
 /// Length of a row on the device.
-pub(crate) const DEVICE_ROW: usize = 56;
+pub(crate) const DEVICE_ROW: usize = DIRECTED + 3 * BASIS;
+/// The same in vectors.
+pub(crate) const ROW_VECTORS: u32 = DEVICE_ROW as u32 / 4;
 
 /// Position of each parameter of a [`Row`] on the device.
 const PLACES: [usize; PARAMETERS] = {
@@ -20,7 +25,7 @@ const PLACES: [usize; PARAMETERS] = {
             LOGIT_OPACITY => 3,
             _ if i < AFFINITY => 12 + i - COLOR,
             _ if i < HARMONICS => 16 + i - AFFINITY,
-            _ => 32 + i - HARMONICS,
+            _ => DIRECTED + i - HARMONICS,
         };
         i += 1;
     }

@@ -3,7 +3,7 @@
 use crate::gpu::{AdapterChoice, AdapterSummary, Gpu, GpuError};
 use crate::kernels::{ComputeKernel, GAUSSIANS, Kernels};
 use crate::maps::maps_of;
-use crate::rows::DEVICE_ROW;
+use crate::rows::ROW_VECTORS;
 use crate::steps::{Dispatch, of_step, of_view, record, segment_groups, submit, timed};
 use crate::store::{CONTROL_WORDS, OVERFLOWED, PAIRS, PAIRS_WANTED, STEPS_DONE, Store};
 use crate::target::DeviceTarget;
@@ -387,7 +387,7 @@ impl Trainer for GpuTrainer {
             let (store, [rows, moments, steps]) = (&self.store, &kept_in);
             let from = [&indices, &store.rows, &store.moments, &store.steps, rows, moments, steps];
             let count = kept.len() as u32;
-            self.run_over(&self.kernels.compact, &from, count, (DEVICE_ROW as u32 / 4 * count).div_ceil(256));
+            self.run_over(&self.kernels.compact, &from, count, (ROW_VECTORS * count).div_ceil(256));
         }
         self.store.replace(kept_in, kept.len());
         self.work.forget_bindings();

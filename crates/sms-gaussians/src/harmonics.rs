@@ -45,6 +45,18 @@ pub fn difference(coefficients: &Harmonics, basis: &[f32; BASIS]) -> [f32; 3] {
     sum
 }
 
+/// Returns the difference to the constant colour in the mean over the directions from which a surface with this outward normal is
+/// seen, weighted by the cosine of the viewing angle: the first degrees of a clamped cosine lobe, 2/3 and 1/4 of their values along
+/// the normal (Ramamoorthi and Hanrahan, SIGGRAPH 2001).
+///
+/// The data do not fix the constant colour by itself, since a surface is seen from one side only.
+pub fn mean_difference(coefficients: &Harmonics, outward_w: [f32; 3]) -> [f32; 3] {
+    let mut lobe = basis(outward_w.map(|v| -v));
+    lobe[..3].iter_mut().for_each(|v| *v *= 2.0 / 3.0);
+    lobe[3..].iter_mut().for_each(|v| *v *= 1.0 / 4.0);
+    difference(coefficients, &lobe)
+}
+
 /// How rotated coefficients follow from those before: `rotated[j] = Σ m[j][k] · before[k]`.
 pub type HarmonicsRotation = [[f32; BASIS]; BASIS];
 
@@ -96,6 +108,25 @@ mod tests {
             let after = difference(&turned, &basis((q * d).to_array()));
             prop_assert!((0..3).all(|c| (before[c] - after[c]).abs() < 1e-5), "{before:?} {after:?}");
         }
+    }
+
+    #[test]
+    fn the_mean_is_that_over_the_hemisphere() {
+        let coefficients: Harmonics = std::array::from_fn(|i| ((7 * i) % 11) as f32 / 11.0 - 0.4);
+        let outward = Vec3::new(0.3, -0.5, 0.8).normalize();
+        // A spiral of directions that are evenly spread over the sphere.
+        let (mut sum, mut weight) = ([0.0f64; 3], 0.0);
+        for i in 0..100_000 {
+            let z = 1.0 - (2 * i + 1) as f32 / 100_000.0;
+            let turn = i as f32 * 2.399_963;
+            let towards_camera = Vec3::new(turn.cos(), turn.sin(), 0.0) * (1.0 - z * z).sqrt() + Vec3::Z * z;
+            let cosine = f64::from(towards_camera.dot(outward).max(0.0));
+            let seen = difference(&coefficients, &basis((-towards_camera).to_array()));
+            (0..3).for_each(|c| sum[c] += cosine * f64::from(seen[c]));
+            weight += cosine;
+        }
+        let mean = mean_difference(&coefficients, outward.to_array());
+        assert!((0..3).all(|c| (sum[c] / weight - f64::from(mean[c])).abs() < 1e-3), "{sum:?} {mean:?}");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The stage's result: labelled Gaussians.
 
-use crate::harmonics::{Harmonics, rotated, rotation_of};
+use crate::harmonics::{Harmonics, mean_difference, rotated, rotation_of};
 use glamx::{DPose3, Quat, Vec3};
 
 /// Width of the affinity feature (paper: d; released code: 16).
@@ -19,7 +19,7 @@ pub struct GaussianModel {
     pub scales: Vec<Vec3>,
     /// Opacities in (0, 1).
     pub opacities: Vec<f32>,
-    /// Mean colours over all directions: linear values as trained against sRGB images, nominally 0 to 1.
+    /// Constant part of the colours: linear values as trained against sRGB images, nominally 0 to 1.
     pub colors: Vec<[f32; 3]>,
     /// View-dependent part of the colours; empty if there is none. From a direction, the colour is `colors[i]` plus
     /// [`harmonics::difference`](crate::harmonics::difference).
@@ -110,7 +110,15 @@ impl GaussianModel {
         }
     }
 
-    /// The shortest principal axis of Gaussian `i` in the world (unit, sign arbitrary), and the two larger standard
+    /// Returns the mean colour of Gaussian `i` over the directions from which a surface with this outward normal is seen.
+    pub fn mean_color(&self, i: usize, outward_w: Vec3) -> [f32; 3] {
+        let Some(harmonics) = self.harmonics.get(i) else { return self.colors[i] };
+        let difference = mean_difference(harmonics, outward_w.to_array());
+        std::array::from_fn(|c| self.colors[i][c] + difference[c])
+    }
+
+    /// The shortest principal axis of Gaussian `i` in the world (unit; outwards where the scan placed the Gaussian on a
+    /// surface and training did not make another axis the shortest), and the two larger standard
     /// deviations with their axes: `(normal, [(axis, sigma); 2])`.
     pub fn disc(&self, i: usize) -> (Vec3, [(Vec3, f32); 2]) {
         let q = self.rotations_wg[i];

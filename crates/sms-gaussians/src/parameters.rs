@@ -125,7 +125,7 @@ fn row_of(s: &Seedling) -> Option<Row> {
     row[LOGIT_OPACITY] = (opacity / (1.0 - opacity)).ln();
     row[COLOR..COLOR + 3].copy_from_slice(&s.color.map(|c| c.clamp(-1.0, 2.0)));
     row[AFFINITY..HARMONICS].copy_from_slice(&s.affinity.map(|a| a.clamp(-100.0, 100.0)));
-    row[HARMONICS..PARAMETERS].copy_from_slice(&s.harmonics.map(|h| h.clamp(-2.0, 2.0)));
+    row[HARMONICS..PARAMETERS].copy_from_slice(&s.harmonics.map(|h| h.clamp(-100.0, 100.0)));
     row.iter().all(|v| v.is_finite()).then_some(Row(row))
 }
 

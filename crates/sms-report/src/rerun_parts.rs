@@ -61,10 +61,10 @@ impl GaussianPoints {
         let growth = (stride as f32).sqrt();
         let mut points = Self::default();
         for i in (0..model.len()).step_by(stride) {
-            let [(_, a), (_, b)] = model.disc(i).1;
+            let (normal_w, [(_, a), (_, b)]) = model.disc(i);
             points.positions.push(model.positions_w[i].to_array());
             points.radii.push(growth * (a * b).sqrt());
-            points.colors.push(bytes_of(model.colors[i]));
+            points.colors.push(bytes_of(model.mean_color(i, normal_w)));
             points.labels.push(model.labels.get(i).copied().unwrap_or(0));
         }
         points

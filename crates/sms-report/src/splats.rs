@@ -42,7 +42,7 @@ pub(crate) fn splats_value(model: &GaussianModel, limit: usize) -> Option<Value>
         rest.extend(model.rotations_wg[i].to_array().map(|v| (127.0 * v).round() as i8 as u8));
         rest.extend(log_scale(i).map(|v| byte((v - thin) / (wide - thin).max(1e-9))));
         rest.push(byte(model.opacities[i]));
-        rest.extend(model.colors[i].map(byte));
+        rest.extend(model.mean_color(i, model.disc(i).0).map(byte));
         rest.push(names.binary_search(&model.labels[i]).unwrap_or(0) as u8);
     }
     let palette: Vec<[u8; 3]> = names.iter().map(|&n| sms_masks::label_color(n)).collect();

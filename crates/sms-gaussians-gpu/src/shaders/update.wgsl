@@ -38,9 +38,13 @@ fn main(
 
 // Moves one Gaussian; returns its isotropic and flatness terms, metres.
 fn descend(g: u32) -> vec2f {
-    let place = rows[ROW_VECTORS * g];
-    let rotation = rows[ROW_VECTORS * g + 1u];
-    let log_scale = rows[ROW_VECTORS * g + 2u].xyz;
+    let row = ROW_VECTORS * g;
+    // Of the moments.
+    let first = 2u * row;
+    let second = first + ROW_VECTORS;
+    let place = rows[row];
+    let rotation = rows[row + 1u];
+    let log_scale = rows[row + 2u].xyz;
     let m = linearize(place.xyz, rotation, log_scale, place.w);
     let s0 = sums[8u * g];
     let s1 = sums[8u * g + 1u];
@@ -117,15 +121,15 @@ fn descend(g: u32) -> vec2f {
     let correction = corrections[min(taken_steps, CORRECTIONS - 1u)];
     let r = u.rates;
     let c = u.more_rates;
-    var p0 = adam(place, moments[2u * ROW_VECTORS * g], moments[2u * ROW_VECTORS * g + ROW_VECTORS], d_place, vec4f(r.xxx, r.w), correction);
-    var p1 = adam(rotation, moments[2u * ROW_VECTORS * g + 1u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 1u], d_rotation, vec4f(r.y), correction);
+    var p0 = adam(place, moments[first], moments[second], d_place, vec4f(r.xxx, r.w), correction);
+    var p1 = adam(rotation, moments[first + 1u], moments[second + 1u], d_rotation, vec4f(r.y), correction);
     var p2 =
-        adam(rows[ROW_VECTORS * g + 2u], moments[2u * ROW_VECTORS * g + 2u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 2u], d_size, vec4f(r.z), correction);
-    var p3 = adam(rows[ROW_VECTORS * g + 3u], moments[2u * ROW_VECTORS * g + 3u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 3u], d_color, vec4f(c.x), correction);
-    var p4 = adam(rows[ROW_VECTORS * g + 4u], moments[2u * ROW_VECTORS * g + 4u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 4u], s4, vec4f(c.y), correction);
-    var p5 = adam(rows[ROW_VECTORS * g + 5u], moments[2u * ROW_VECTORS * g + 5u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 5u], s5, vec4f(c.y), correction);
-    var p6 = adam(rows[ROW_VECTORS * g + 6u], moments[2u * ROW_VECTORS * g + 6u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 6u], s6, vec4f(c.y), correction);
-    var p7 = adam(rows[ROW_VECTORS * g + 7u], moments[2u * ROW_VECTORS * g + 7u], moments[2u * ROW_VECTORS * g + ROW_VECTORS + 7u], s7, vec4f(c.y), correction);
+        adam(rows[row + 2u], moments[first + 2u], moments[second + 2u], d_size, vec4f(r.z), correction);
+    var p3 = adam(rows[row + 3u], moments[first + 3u], moments[second + 3u], d_color, vec4f(c.x), correction);
+    var p4 = adam(rows[row + 4u], moments[first + 4u], moments[second + 4u], s4, vec4f(c.y), correction);
+    var p5 = adam(rows[row + 5u], moments[first + 5u], moments[second + 5u], s5, vec4f(c.y), correction);
+    var p6 = adam(rows[row + 6u], moments[first + 6u], moments[second + 6u], s6, vec4f(c.y), correction);
+    var p7 = adam(rows[row + 7u], moments[first + 7u], moments[second + 7u], s7, vec4f(c.y), correction);
     var harmonics: array<Moved, 6>;
     var harmonics_sound = true;
     if (c.w > 0.0) {
@@ -136,9 +140,9 @@ fn descend(g: u32) -> vec2f {
                 let i = 4u * q + e;
                 d[e] = basis[i / 3u] * s2[i % 3u];
             }
-            let at = 2u * ROW_VECTORS * g + 8u + q;
+            let at = first + 8u + q;
             harmonics[q] =
-                adam(rows[ROW_VECTORS * g + 8u + q], moments[at], moments[at + ROW_VECTORS], d, vec4f(c.w), correction);
+                adam(rows[row + 8u + q], moments[at], moments[at + ROW_VECTORS], d, vec4f(c.w), correction);
             harmonics_sound = harmonics_sound && all_finite(harmonics[q].value);
         }
     }
@@ -147,39 +151,39 @@ fn descend(g: u32) -> vec2f {
         && all_finite(p4.value) && all_finite(p5.value) && all_finite(p6.value) && all_finite(p7.value)
         && squared > 1e-12;
     if (!sound) {
-        for (var k = 0u; k < 2u * ROW_VECTORS; k++) { moments[2u * ROW_VECTORS * g + k] = vec4f(); }
+        for (var k = 0u; k < 2u * ROW_VECTORS; k++) { moments[first + k] = vec4f(); }
         steps[g] = 0u;
         return terms;
     }
     p0.value.w = clamp(p0.value.w, -LOGIT_LIMIT, LOGIT_LIMIT);
-    rows[ROW_VECTORS * g] = p0.value;
-    rows[ROW_VECTORS * g + 1u] = p1.value / sqrt(squared);
-    rows[ROW_VECTORS * g + 2u] = vec4f(clamp(p2.value.xyz, vec3f(LOG_SCALE_MIN), vec3f(LOG_SCALE_MAX)), 0.0);
-    rows[ROW_VECTORS * g + 3u] = p3.value;
-    rows[ROW_VECTORS * g + 4u] = p4.value;
-    rows[ROW_VECTORS * g + 5u] = p5.value;
-    rows[ROW_VECTORS * g + 6u] = p6.value;
-    rows[ROW_VECTORS * g + 7u] = p7.value;
-    moments[2u * ROW_VECTORS * g] = p0.first;
-    moments[2u * ROW_VECTORS * g + 1u] = p1.first;
-    moments[2u * ROW_VECTORS * g + 2u] = p2.first;
-    moments[2u * ROW_VECTORS * g + 3u] = p3.first;
-    moments[2u * ROW_VECTORS * g + 4u] = p4.first;
-    moments[2u * ROW_VECTORS * g + 5u] = p5.first;
-    moments[2u * ROW_VECTORS * g + 6u] = p6.first;
-    moments[2u * ROW_VECTORS * g + 7u] = p7.first;
-    moments[2u * ROW_VECTORS * g + ROW_VECTORS] = p0.second;
-    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 1u] = p1.second;
-    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 2u] = p2.second;
-    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 3u] = p3.second;
-    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 4u] = p4.second;
-    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 5u] = p5.second;
-    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 6u] = p6.second;
-    moments[2u * ROW_VECTORS * g + ROW_VECTORS + 7u] = p7.second;
+    rows[row] = p0.value;
+    rows[row + 1u] = p1.value / sqrt(squared);
+    rows[row + 2u] = vec4f(clamp(p2.value.xyz, vec3f(LOG_SCALE_MIN), vec3f(LOG_SCALE_MAX)), 0.0);
+    rows[row + 3u] = p3.value;
+    rows[row + 4u] = p4.value;
+    rows[row + 5u] = p5.value;
+    rows[row + 6u] = p6.value;
+    rows[row + 7u] = p7.value;
+    moments[first] = p0.first;
+    moments[first + 1u] = p1.first;
+    moments[first + 2u] = p2.first;
+    moments[first + 3u] = p3.first;
+    moments[first + 4u] = p4.first;
+    moments[first + 5u] = p5.first;
+    moments[first + 6u] = p6.first;
+    moments[first + 7u] = p7.first;
+    moments[second] = p0.second;
+    moments[second + 1u] = p1.second;
+    moments[second + 2u] = p2.second;
+    moments[second + 3u] = p3.second;
+    moments[second + 4u] = p4.second;
+    moments[second + 5u] = p5.second;
+    moments[second + 6u] = p6.second;
+    moments[second + 7u] = p7.second;
     if (c.w > 0.0) {
         for (var q = 0u; q < 6u; q++) {
-            let at = 2u * ROW_VECTORS * g + 8u + q;
-            rows[ROW_VECTORS * g + 8u + q] = harmonics[q].value;
+            let at = first + 8u + q;
+            rows[row + 8u + q] = harmonics[q].value;
             moments[at] = harmonics[q].first;
             moments[at + ROW_VECTORS] = harmonics[q].second;
         }

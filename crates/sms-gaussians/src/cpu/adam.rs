@@ -67,7 +67,7 @@ fn descend<L: Lanes>(
     seen: &[bool],
     rates: &Row,
 ) {
-    // Without view-dependent colour, the rest is zero.
+    // View-dependent colour that is not trained has no gradients.
     let chunks = if rates.0[HARMONICS] > 0.0 { ROW / WIDTH } else { HARMONICS.div_ceil(WIDTH) };
     for i in 0..rows.len() {
         if !seen[i] || !gradients[i].0.iter().all(|g| g.is_finite()) {

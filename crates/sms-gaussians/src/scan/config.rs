@@ -175,7 +175,7 @@ pub struct ScanConfig {
     pub steps_frame: usize,
     /// Largest number of steps over all frames together at the end of the schedule `sequential`.
     pub final_steps: usize,
-    /// Share to which learning rates fall exponentially over the final steps.
+    /// Share to which learning rates fall exponentially over the steps on all frames together.
     pub final_decay: f32,
     /// Steps between checks of the clock, the losses and cancellation.
     pub batch_steps: usize,
@@ -258,7 +258,7 @@ impl ScanConfig {
                 max_gaussians: 100_000,
                 ..standard
             }
-            // A real recording gains 3 dB from 600 to 2000 steps (experiments/studies/scan/fused.md).
+            // A real recording gained 2.5 dB from 600 to 2000 steps (`standard`, experiments/studies/scan/fused.md).
             .with_fused_steps(2000),
         }
     }

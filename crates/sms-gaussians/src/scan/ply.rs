@@ -175,10 +175,16 @@ fn columns<'a, const N: usize>(
 /// Returns the columns of the harmonics by channel, without those of degree 3; `None` if there are none.
 fn harmonics_of<'a>(table: &'a VertexTable, path: &Path) -> Result<Option<[Vec<&'a [f64]>; 3]>, CoreError> {
     let name = |k: usize| format!("f_rest_{k}");
-    let of_channel = (0..).take_while(|k| table.column(&name(*k)).is_some()).count() / 3;
-    if of_channel == 0 {
-        return Ok(None);
-    }
+    let count = (0..).take_while(|k| table.column(&name(*k)).is_some()).count();
+    let of_channel = match count {
+        0 => return Ok(None),
+        9 | 24 | 45 | 72 => count / 3,
+        _ => {
+            let what =
+                format!("this PLY has {count} properties `f_rest_*`, which no degree of harmonics has");
+            return Err(InputError::new(what, path, EXPORT_AGAIN).into());
+        }
+    };
     let mut channels = [(); 3].map(|()| Vec::new());
     for (c, columns_of_channel) in channels.iter_mut().enumerate() {
         for k in 0..of_channel.min(BASIS) {
@@ -314,6 +320,24 @@ mod tests {
         let read = read_ply(&path).unwrap();
         assert_eq!((read.len(), read.classifier.classes, read.labels[1]), (2, 0, 0));
         assert_eq!((read.rotations_wg[0], read.background), (Quat::IDENTITY, [0.0; 3]));
+
+        // Harmonics are stored channel by channel, 3 of degree 1 or 15 up to degree 3.
+        for (count, of_channel) in [(9, 3), (45, 15)] {
+            let names: Vec<String> = (0..count).map(|k| format!("f_rest_{k}")).collect();
+            let mut with = columns.clone();
+            for (k, name) in names.iter().enumerate() {
+                with.push((name, VertexColumn::F32(vec![k as f32 + 1.0; 2])));
+            }
+            ply::write(&path, &[], &with).unwrap();
+            let harmonics = read_ply(&path).unwrap().harmonics;
+            for (k, c) in (0..BASIS).flat_map(|k| (0..3).map(move |c| (k, c))) {
+                let expected = if k < of_channel { (c * of_channel + k) as f32 + 1.0 } else { 0.0 };
+                assert_eq!(harmonics[1][3 * k + c], expected, "{count}: {k} {c}");
+            }
+            with.pop();
+            ply::write(&path, &[], &with).unwrap();
+            assert!(matches!(read_ply(&path), Err(CoreError::Input(_))));
+        }
 
         columns[12].1 = VertexColumn::F32(vec![0.0, f32::NAN]);
         ply::write(&path, &[], &columns).unwrap();

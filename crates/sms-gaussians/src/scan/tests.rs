@@ -150,9 +150,7 @@ fn stopped_or_killed_anywhere_and_resumed_ends_with_the_same_bytes_on_one_and_tw
 
 #[test]
 fn a_fused_scan_stopped_or_killed_anywhere_and_resumed_ends_with_the_same_bytes() {
-    let mut config = ScanConfig { schedule: ScanOrder::Fused, ..quick() };
-    config.stop.enabled = false;
-    stop_kill_and_resume(&config);
+    stop_kill_and_resume(&ScanConfig { schedule: ScanOrder::Fused, ..quick() });
 }
 
 fn stop_kill_and_resume(config: &ScanConfig) {
@@ -325,6 +323,9 @@ fn gaussians_fill_what_has_no_depth_and_are_marked() {
     let recording = (sequence, labels);
     let of = |config: &ScanConfig| run(&recording, config, dir.path(), None, &Warnings::new()).unwrap();
     let filled = of(&config);
+    // Early stopping is for the other schedule.
+    assert!(config.stop.enabled);
+    assert_eq!(filled.metrics.number("scan.steps"), Some(config.fused.steps as f64));
     let read = read_ply(&dir.path().join("scene.ply")).unwrap();
     assert_eq!(read.measured, filled.model.measured);
     assert_eq!((read.harmonics.len(), &read.harmonics), (read.len(), &filled.model.harmonics));
