@@ -35,14 +35,14 @@ pub(crate) fn recording() -> &'static Path {
     })
 }
 
-/// Copies a materialized `draft` run of [`recording`] to `to`. The run is made once for all tests, with few final steps
+/// Copies a materialized `draft` run of [`recording`] to `to`. The run is made once for all tests, with few steps
 /// and points.
 pub(crate) fn copy_materialized_run(to: &Path) {
     static RUN: OnceLock<PathBuf> = OnceLock::new();
     let made = RUN.get_or_init(|| {
         let path = shared_folder("run");
         let (run, recording) = (path.to_str().unwrap(), recording().to_str().unwrap());
-        done(&["scan", recording, "--out", run, "--preset", "draft", "--set", "scan.final_steps=2"]);
+        done(&["scan", recording, "--out", run, "--preset", "draft", "--set", "scan.fused.steps=100"]);
         done(&["materialize", run, "--set", "entities.point_budget=4000"]);
         path
     });

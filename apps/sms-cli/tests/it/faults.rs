@@ -156,7 +156,7 @@ fn settings_that_cannot_be_leave_a_run_as_it_was() {
     let first = scan(&[]);
     assert!(first.status.success(), "{}", String::from_utf8_lossy(&first.stderr));
     let settings = fs::read_to_string(run.join("run.toml")).unwrap();
-    assert!(settings.contains("final_steps = 10"), "{settings}");
+    assert!(settings.contains("steps = 20"), "{settings}");
     let before = contents(&run);
     for (given, words) in [
         ("scan.final_stps=500", &["`final_steps`", "--set scan.final_stps=500"][..]),
@@ -282,8 +282,7 @@ fn a_fault_that_the_check_finds_is_an_exit_code_and_in_the_json() {
 /// A scan of few steps.
 fn quick_scan(recording: &Path, run: &Path, more: &[&str]) -> Output {
     let mut arguments = vec!["scan", recording.to_str().unwrap(), "--out", run.to_str().unwrap()];
-    arguments.extend(["--preset", "draft", "--set", "scan.steps_first=10", "--set", "scan.steps_frame=10"]);
-    arguments.extend(["--set", "scan.final_steps=10"]);
+    arguments.extend(["--preset", "draft", "--set", "scan.fused.steps=20"]);
     arguments.extend(more);
     sms(&arguments)
 }
@@ -354,7 +353,7 @@ fn progress_as_json_lines_tells_frame_step_losses_and_time_left() {
     let run = dir.path().join("run");
     let output = Command::new(env!("CARGO_BIN_EXE_sms"))
         .args(["scan", recording().to_str().unwrap(), "--out", run.to_str().unwrap(), "--preset", "draft"])
-        .args(["--progress", "json", "--set", "scan.steps_first=20", "--set", "scan.final_steps=10"])
+        .args(["--progress", "json", "--set", "scan.fused.steps=30"])
         // Where there is none, the system's graphics libraries complain on standard error as they look for GPUs.
         .env("XDG_RUNTIME_DIR", dir.path())
         .output()

@@ -21,7 +21,7 @@ fn json(output: &Output) -> Value {
 fn all_stages_run_in_one_command_and_are_not_repeated() {
     let dir = tempfile::tempdir().unwrap();
     // The settings of the folder make the work quick.
-    let settings = "[scan]\nfinal_steps = 2\n[entities]\npoint_budget = 2000\ntexture = { enabled = false }\n\
+    let settings = "[scan.fused]\nsteps = 60\n[entities]\npoint_budget = 2000\ntexture = { enabled = false }\n\
                     [plan]\nevaluations = 20\nanew = 0\ndisturbances = { worlds = 0 }\n";
     fs::write(dir.path().join("sms.toml"), settings).unwrap();
     let (recording, task) = (recording(), recording().join("task.toml"));
@@ -31,7 +31,7 @@ fn all_stages_run_in_one_command_and_are_not_repeated() {
     assert!(first["execute.success"].is_boolean() && first["simulate.drift_m"].is_number(), "{first}");
     let root = dir.path().join("runs").join(recording.file_name().unwrap());
     let recorded: toml::Table = toml::from_str(&fs::read_to_string(root.join("run.toml")).unwrap()).unwrap();
-    assert_eq!(recorded["scan"]["final_steps"].as_integer(), Some(2));
+    assert_eq!(recorded["scan"]["fused"]["steps"].as_integer(), Some(60));
 
     let status = json(&sms_in(&root, &["status", ".", "--json"]));
     for stage in ["frames", "masks", "gaussians", "entities", "scene", "plan", "target", "report"] {
@@ -91,7 +91,7 @@ fn a_scan_alone_asks_for_a_scene_next() {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("run");
     let paths = ["scan", recording().to_str().unwrap(), "--out", run.to_str().unwrap(), "--preset", "draft"];
-    done(&[&paths[..], &["--set", "scan.final_steps=2", "--set", "scan.steps_first=10"]].concat());
+    done(&[&paths[..], &["--set", "scan.fused.steps=20"]].concat());
     let status = json(&sms_in(dir.path(), &["status", "run", "--json"]));
     assert_eq!(
         (&status["status.gaussians"], &status["status.scene"]),

@@ -18,7 +18,7 @@ fn marked_run() -> CopiedRun {
 impl CopiedRun {
     fn scan(&self) {
         let paths = ["scan", recording().to_str().unwrap(), "--out", &self.folder()];
-        done(&[&paths[..], &["--preset", "draft", "--set", "scan.final_steps=2"]].concat());
+        done(&[&paths[..], &["--preset", "draft", "--set", "scan.fused.steps=100"]].concat());
     }
 
     fn materialize(&self) -> Output {

@@ -165,7 +165,7 @@ fn a_new_scan_leaves_the_scene_as_it_is() {
     let paths =
         ["scan", recording().to_str().unwrap(), "--out", run.path("").to_str().unwrap()].map(str::to_owned);
     let paths = paths.iter().map(String::as_str).collect::<Vec<_>>();
-    done(&[&paths[..], &["--preset", "draft", "--set", "scan.final_steps=3"]].concat());
+    done(&[&paths[..], &["--preset", "draft", "--set", "scan.fused.steps=30"]].concat());
     assert_eq!(fs::read(run.path("scene/scene.json")).unwrap(), before);
     let status = run.json("status");
     for stage in ["entities", "scene"] {

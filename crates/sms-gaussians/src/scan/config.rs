@@ -137,11 +137,11 @@ impl Default for StopConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScanOrder {
-    /// All frames are fused into one surface, Gaussians are placed on it, and their colours are optimised last.
+    /// All frames are fused into one surface, Gaussians are placed on it, and all frames are trained on together.
+    #[default]
     Fused,
     /// Frame after frame is seeded and optimised while earlier ones are replayed (paper, Section "Scan"); the
     /// Gaussians move onto the fused surface before and after the refinement over all frames.
-    #[default]
     Sequential,
 }
 

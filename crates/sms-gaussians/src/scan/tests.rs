@@ -22,6 +22,7 @@ pub(super) const SEED: Seed = Seed(5);
 /// Few steps, for many runs; every part of the schedule occurs.
 pub(super) fn quick() -> ScanConfig {
     let mut config = ScanConfig {
+        schedule: ScanOrder::Sequential,
         fused: FusedConfig { steps: 200, ..FusedConfig::default() },
         steps_first: 40,
         steps_frame: 20,

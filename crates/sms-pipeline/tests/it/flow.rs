@@ -23,14 +23,8 @@ use std::sync::{Arc, Mutex};
 const HOLDOUT: usize = 5;
 
 /// The settings of a short scan and a short search.
-const SHORT: [&str; 6] = [
-    "scan.steps_first=15",
-    "scan.steps_frame=5",
-    "scan.final_steps=10",
-    "entities.texture.enabled=false",
-    "plan.evaluations=12",
-    "plan.starts=6",
-];
+const SHORT: [&str; 4] =
+    ["scan.fused.steps=60", "entities.texture.enabled=false", "plan.evaluations=12", "plan.starts=6"];
 
 /// Records for each stage whether it was computed.
 #[derive(Clone, Default)]
