@@ -9,6 +9,9 @@ pub const BASIS: usize = 8;
 /// Coefficients of one Gaussian: for each basis function its red, green and blue.
 pub type Harmonics = [f32; 3 * BASIS];
 
+/// A colour that is the same from all directions.
+pub const CONSTANT: Harmonics = [0.0; 3 * BASIS];
+
 /// √(3/4π).
 const DEGREE_1: f32 = 0.488_602_5;
 /// √(15/4π), √(5/16π) and √(15/16π).

@@ -78,6 +78,9 @@ impl GaussianModel {
         fn pick<T: Copy>(values: &[T], indices: &[usize]) -> Vec<T> {
             indices.iter().map(|&i| values[i]).collect()
         }
+        fn pick_if_any<T: Copy>(values: &[T], indices: &[usize]) -> Vec<T> {
+            if values.is_empty() { Vec::new() } else { pick(values, indices) }
+        }
         Self {
             positions_w: pick(&self.positions_w, indices),
             rotations_wg: pick(&self.rotations_wg, indices),
@@ -87,8 +90,8 @@ impl GaussianModel {
             affinities: pick(&self.affinities, indices),
             labels: pick(&self.labels, indices),
             label_confidence: pick(&self.label_confidence, indices),
-            harmonics: if self.harmonics.is_empty() { Vec::new() } else { pick(&self.harmonics, indices) },
-            measured: if self.measured.is_empty() { Vec::new() } else { pick(&self.measured, indices) },
+            harmonics: pick_if_any(&self.harmonics, indices),
+            measured: pick_if_any(&self.measured, indices),
             classifier: self.classifier.clone(),
             background: self.background,
         }

@@ -33,8 +33,8 @@ fn worst(
     parameters.insert(&seedlings(&camera, 10, Seed(seed - 1)));
     let oracle = Oracle { background, ..Oracle::new(&parameters, &config, false) };
     let gradient = oracle.gradient(&frame);
-    let held = (Some(oracle.own_depth_slopes(&camera)), Some(oracle.own_bases(&camera)));
-    let oracle = Oracle { depth_slopes: held.0, bases: held.1, ..oracle };
+    let (slopes, bases) = (oracle.own_depth_slopes(&camera), oracle.own_bases(&camera));
+    let oracle = Oracle { depth_slopes: Some(slopes), bases: Some(bases), ..oracle };
     // Only the form with a constant divisor differs from the plain derivative.
     let divisors = oracle.depth_divisors(&camera);
     let held = (depth_term == DepthTerm::Detached).then_some(&divisors[..]);

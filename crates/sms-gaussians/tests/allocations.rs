@@ -60,7 +60,7 @@ fn trainer(form: SimdForm, share: f32) -> CpuTrainer {
             scale: Vec3::new(0.02, 0.015, 0.003),
             opacity: 0.7,
             color: [0.5 + x, 0.5 + y, 0.3],
-            harmonics: [0.0; 24],
+            harmonics: sms_gaussians::harmonics::CONSTANT,
             affinity: [x; AFFINITY_DIM],
         }
     };

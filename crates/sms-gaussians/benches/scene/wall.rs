@@ -57,7 +57,7 @@ fn discs(camera: &Camera, count: usize, seed: Seed) -> Vec<Seedling> {
                 ),
                 opacity: part(0.3, 0.95) as f32,
                 color: [part(0.0, 1.0) as f32, part(0.0, 1.0) as f32, part(0.0, 1.0) as f32],
-                harmonics: [0.0; 24],
+                harmonics: sms_gaussians::harmonics::CONSTANT,
                 affinity: std::array::from_fn::<f32, AFFINITY_DIM, _>(|_| part(-0.5, 0.5) as f32),
             }
         })

@@ -68,7 +68,7 @@ const GAUSSIANS: usize = 256;
 ///     scale: Vec3::new(0.1, 0.1, 0.01),
 ///     opacity: 0.5,
 ///     color: [0.5; 3],
-///     harmonics: [0.0; 24],
+///     harmonics: sms_gaussians::harmonics::CONSTANT,
 ///     affinity: [0.1; AFFINITY_DIM],
 /// }]);
 /// let red = TrainFrame {

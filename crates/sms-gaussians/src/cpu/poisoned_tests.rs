@@ -1,7 +1,7 @@
 //! Ten thousand damaged inputs through real steps: parameters, losses and images stay finite.
 
 use super::*;
-use crate::harmonics::BASIS;
+use crate::harmonics::{BASIS, CONSTANT};
 use crate::parameters::LOGIT_LIMIT;
 use crate::{AFFINITY_DIM, DepthTerm, LearningRates, LossWeights};
 use glamx::{DPose3, DQuat, DVec3, Quat};
@@ -87,7 +87,7 @@ impl Draw {
             scale: self.vector(0.001, 0.2),
             opacity: self.number(0.05, 0.99),
             color: self.vector(0.0, 1.0).to_array(),
-            harmonics: [0.0; 3 * BASIS],
+            harmonics: CONSTANT,
             affinity: [0.0; AFFINITY_DIM],
         };
         if self.chance(0.5) {

@@ -4,7 +4,7 @@ use super::bands::Span;
 use super::lanes::{Chunk, Lanes, NONE, WIDTH, array, by_simd};
 use super::tile::{BAND_ROWS, FLAT, LOG2_ALPHA_MIN, NORMAL_CHANNEL, Splat};
 use crate::AFFINITY_DIM;
-use crate::harmonics::{BASIS, basis, difference};
+use crate::harmonics::{BASIS, CONSTANT, basis, difference};
 use crate::parameters::{AFFINITY, COLOR, HARMONICS, LOG_SCALE, LOGIT_OPACITY, POSITION, ROTATION, Row};
 use glamx::Mat3;
 use sms_core::Camera;
@@ -86,7 +86,7 @@ impl CameraView {
     fn color_of(&self, row: &Row) -> [f32; 3] {
         let coefficients = row.0[HARMONICS..].first_chunk::<{ 3 * BASIS }>().expect("a row is longer");
         let color = array!(3, |c| row.0[COLOR + c]);
-        if *coefficients == [0.0; 3 * BASIS] {
+        if *coefficients == CONSTANT {
             return color;
         }
         let difference = difference(coefficients, &basis(self.direction_w(row)));

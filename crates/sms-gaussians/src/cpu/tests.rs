@@ -2,7 +2,7 @@
 
 use super::limits::LOW_PASS;
 use super::*;
-use crate::harmonics::BASIS;
+use crate::harmonics::{BASIS, CONSTANT};
 use crate::oracle::{CHANNELS, Oracle};
 use crate::parameters::{AFFINITY, COLOR, HARMONICS, LOG_SCALE, PARAMETERS, ROTATION};
 use crate::test_scene::{CLASSES, camera, frame, seedlings};
@@ -47,7 +47,7 @@ fn one_gaussian_is_seen_where_it_is() {
         scale: Vec3::new(0.02, 0.02, 0.002),
         opacity: 0.8,
         color: [0.5, 0.25, 1.0],
-        harmonics: [0.0; 3 * BASIS],
+        harmonics: CONSTANT,
         affinity: [0.1; AFFINITY_DIM],
     }]);
     let maps = trainer.render(&camera);
@@ -91,7 +91,7 @@ fn a_slanted_disc_shows_the_depth_of_its_plane() {
         scale: Vec3::new(0.05, 0.06, 0.0001),
         opacity: 0.9,
         color: [0.5; 3],
-        harmonics: [0.0; 3 * BASIS],
+        harmonics: CONSTANT,
         affinity: [0.0; AFFINITY_DIM],
     }]);
     let maps = trainer.render(&camera);
@@ -266,7 +266,7 @@ fn equal_depths_leave_opacities_to_the_other_terms() {
             scale: Vec3::new(0.03, 0.03, 0.001),
             opacity: 0.6,
             color: [0.5; 3],
-            harmonics: [0.0; 3 * BASIS],
+            harmonics: CONSTANT,
             affinity: [0.0; AFFINITY_DIM],
         };
         trainer.insert(&[disc(-1), disc(0), disc(1)]);
@@ -565,7 +565,7 @@ fn a_disc_shows_each_camera_its_own_colour() {
         scale: Vec3::new(0.5, 0.5, 0.01),
         opacity: 0.99,
         color: [0.5; 3],
-        harmonics: [0.0; 3 * BASIS],
+        harmonics: CONSTANT,
         affinity: [0.0; AFFINITY_DIM],
     };
     let rates = LearningRates { color: 5e-3, harmonics: 5e-3, ..LearningRates::default().scaled(0.0) };

@@ -88,6 +88,7 @@ fn surest_of_labels(model: &GaussianModel, votes: &[Option<u16>]) -> Vec<Option<
 mod tests {
     use super::super::fixture::{BALL, BALL_CENTER, BALL_RADIUS, Recorded, SMALL, record};
     use super::*;
+    use crate::harmonics::CONSTANT;
     use crate::{CpuTrainer, Seedling, TrainConfig, Trainer};
     use glamx::{Quat, Vec3};
     use sms_core::Seed;
@@ -111,7 +112,7 @@ mod tests {
             scale: Vec3::splat(1e-3),
             opacity: 0.5,
             color: [0.5; 3],
-            harmonics: [0.0; 24],
+            harmonics: CONSTANT,
             affinity: affinity(label),
         };
         let hidden = BALL_CENTER.as_vec3();

@@ -45,6 +45,7 @@ fn surfel_of(row: &Row) -> Surfel {
 mod tests {
     use super::super::fixture::{Recorded, SMALL, record};
     use super::*;
+    use crate::harmonics::CONSTANT;
     use crate::{AFFINITY_DIM, CpuTrainer, Seedling, TrainConfig, Trainer};
     use sms_core::{Camera, Image, Intrinsics, Seed};
 
@@ -58,7 +59,7 @@ mod tests {
             scale: Vec3::new(3e-3, 3e-3, 3e-4),
             opacity: 0.5,
             color: [0.5; 3],
-            harmonics: [0.0; 24],
+            harmonics: CONSTANT,
             affinity: [0.0; AFFINITY_DIM],
         };
         let mut trainer = CpuTrainer::new(&TrainConfig::default(), 3, Seed(1));
@@ -109,7 +110,7 @@ mod tests {
                     scale: Vec3::new(3e-3, 1e-3, 3e-4),
                     opacity: 0.5,
                     color: [0.5; 3],
-                    harmonics: [0.0; 24],
+                    harmonics: CONSTANT,
                     affinity: [0.0; AFFINITY_DIM],
                 }]);
                 trainer.edit(&mut |p| fuse(p, &frames, &ScanConfig::default())).unwrap();

@@ -1,7 +1,7 @@
 //! The model as a standard 3D Gaussian Splatting `.ply` for viewers. Affinities, labels, their confidence and `measured` (1 on a
 //! measured surface, else 0; without it, all are) are additional properties that viewers ignore. Classifier and background are in a separate file.
 
-use crate::harmonics::BASIS;
+use crate::harmonics::{BASIS, CONSTANT};
 use crate::{AFFINITY_DIM, Classifier, GaussianModel, HIDDEN_DIM, Seedling};
 use glamx::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
@@ -222,7 +222,7 @@ pub(crate) fn seedlings_of(model: &GaussianModel) -> Vec<Seedling> {
             scale: model.scales[i],
             opacity: model.opacities[i],
             color: model.colors[i],
-            harmonics: model.harmonics.get(i).copied().unwrap_or([0.0; 3 * BASIS]),
+            harmonics: model.harmonics.get(i).copied().unwrap_or(CONSTANT),
             affinity: model.affinities[i],
         })
         .collect()

@@ -9,7 +9,7 @@
 
 use super::config::ScanConfig;
 use super::occupancy::HashGrid;
-use crate::harmonics::BASIS;
+use crate::harmonics::CONSTANT;
 use crate::{AFFINITY_DIM, RenderedMaps, Seedling};
 use glamx::{DMat3, DQuat, DVec3, Vec3};
 use rand::RngExt;
@@ -138,7 +138,7 @@ pub(crate) fn disc(
         scale: DVec3::new(sigma.max(stretched), sigma, settings.thickness * sigma).as_vec3(),
         opacity: settings.opacity,
         color,
-        harmonics: [0.0; 3 * BASIS],
+        harmonics: CONSTANT,
         affinity,
     }
 }
