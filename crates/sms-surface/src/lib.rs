@@ -15,7 +15,7 @@ mod surfel;
 mod fixture;
 
 pub use config::{SurfaceConfig, SurfaceTolerance};
-pub use measure::{PointVisibility, SAME_SURFACE_COSINE, settle, standing, visibility};
+pub use measure::{PointVisibility, SAME_SURFACE_COSINE, WallSide, settle, standing, visibility};
 pub use nearby::map_nearby;
 pub use point::{MeasuredPoint, measured_point};
 pub use surfel::{SeedPixel, Surfel};
@@ -40,7 +40,7 @@ pub fn fuse(
         cancel.check()?;
         grow(&mut surfels, frame, slot, config, seed.derive_index("frame", slot as u64));
     }
-    settle(&mut surfels, frames, config, cancel)?;
+    settle(&mut surfels, frames, config, WallSide::Normal, cancel)?;
     let mut kept = supported(&surfels, frames, &config.tolerance).into_iter();
     cancel.check()?;
     surfels.retain(|_| kept.next().unwrap_or(true));
@@ -88,6 +88,18 @@ mod tests {
         }
         let single = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         assert_eq!(single.install(|| of(16)), of(16));
+    }
+
+    #[test]
+    fn both_faces_of_a_thin_wall_stay_however_often_each_is_seen() {
+        // A wall of 3 mm, seen three times from above and once from below.
+        let above = facing_plane(0.5, 0.0);
+        let below = facing_plane(-0.5, -0.003);
+        let surfels = fuse(&[&above, &above, &below, &above], &config(), Seed(3), &Cancel::new()).unwrap();
+        let (upper, lower): (Vec<&Surfel>, Vec<&Surfel>) = surfels.iter().partition(|s| s.n_w.z > 0.0);
+        assert!(lower.len() > upper.len() / 2, "{} {}", upper.len(), lower.len());
+        assert!(upper.iter().all(|s| s.p_w.z.abs() < 1e-6));
+        assert!(lower.iter().all(|s| (s.p_w.z + 0.003).abs() < 1e-6));
     }
 
     #[test]

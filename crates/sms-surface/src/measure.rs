@@ -11,7 +11,17 @@ use sms_frames::Frame;
 /// Least cosine between the normal of an element and the normals of its surface.
 pub const SAME_SURFACE_COSINE: f64 = 0.7;
 
+/// The face of a thin wall that an element belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WallSide {
+    /// The one that the normal of the element points out of.
+    Normal,
+    /// The one with more measurements: the sign of the normal has no meaning.
+    MostMeasured,
+}
+
 /// Moves every element along its normal to the mean of the measurements of `frames`, and turns it to their mean normal.
+/// A thin wall is measured from both sides, and the mean of both would lie inside the wall: only those of `side` count.
 /// Elements without measurements remain unchanged.
 ///
 /// # Errors
@@ -20,6 +30,7 @@ pub fn settle(
     surfels: &mut Vec<Surfel>,
     frames: &[&Frame],
     config: &SurfaceConfig,
+    side: WallSide,
     cancel: &Cancel,
 ) -> Result<(), CoreError> {
     let positions_w: Vec<Vec3> = surfels.par_iter().map(|s| s.p_w.as_vec3()).collect();
@@ -35,7 +46,10 @@ pub fn settle(
                     add_frame(sides, frame, surfel, least_alike, config);
                 }
             }
-            group.iter_mut().zip(sums).for_each(|(surfel, sides)| adjust(surfel, sides));
+            for (surfel, [front, back]) in group.iter_mut().zip(sums) {
+                let is_back = side == WallSide::MostMeasured && back.weight > front.weight;
+                adjust(surfel, if is_back { back } else { front });
+            }
         }
         group
     });
@@ -55,10 +69,7 @@ struct SideMeasurement {
 }
 
 /// Moves and turns the element to the measurements.
-fn adjust(surfel: &mut Surfel, [front, back]: [SideMeasurement; 2]) {
-    // A thin wall is measured from both sides, and the mean would lie inside the wall. Each element belongs to the side with
-    // more measurements.
-    let sum = if back.weight > front.weight { back } else { front };
+fn adjust(surfel: &mut Surfel, sum: SideMeasurement) {
     if sum.weight > 0.0 {
         surfel.p_w += surfel.n_w * (sum.offset / sum.weight);
     }

@@ -9,7 +9,7 @@ use glamx::{DQuat, DVec3, Quat, Vec3};
 use rayon::prelude::*;
 use sms_core::Cancel;
 use sms_frames::Frame;
-use sms_surface::{Surfel, settle};
+use sms_surface::{Surfel, WallSide, settle};
 
 /// Moves every Gaussian along its normal to the mean of the measurements of `frames`, and turns it to their mean
 /// normal. Gaussians without measurements remain unchanged; moments are kept.
@@ -17,7 +17,7 @@ pub(crate) fn fuse(parameters: &mut Parameters, frames: &[&Frame], config: &Scan
     let discs: Vec<Surfel> = parameters.rows.par_iter().map(surfel_of).collect();
     let mut fused = discs.clone();
     // It takes seconds at most and is not interrupted, so that the checkpoint after it is written.
-    if settle(&mut fused, frames, &config.surface(), &Cancel::new()).is_err() {
+    if settle(&mut fused, frames, &config.surface(), WallSide::MostMeasured, &Cancel::new()).is_err() {
         return;
     }
     for (row, (before, after)) in parameters.rows.iter_mut().zip(discs.iter().zip(&fused)) {
