@@ -127,6 +127,30 @@ pub fn is_at_rest(moved_m: f64, turned_rad: f64) -> bool {
     moved_m <= REST.0 && turned_rad <= REST.1
 }
 
+/// Shares of the recorded depth, and limits of good and fair: those that the surfaces of a scene do not explain, and those behind a
+/// false surface. Single frames of a real recording (Azure Kinect, refined poses) disagree with most other frames at 0.10 of their
+/// pixels, which no scene can explain; an unedited TSDF of four real recordings misses 0.17 to 0.59.
+const GOOD_UNEXPLAINED: f64 = 0.10;
+/// See [`GOOD_UNEXPLAINED`].
+const FAIR_UNEXPLAINED: f64 = 0.25;
+/// See [`GOOD_UNEXPLAINED`].
+const GOOD_FALSE: f64 = 0.02;
+/// See [`GOOD_UNEXPLAINED`].
+const FAIR_FALSE: f64 = 0.05;
+
+/// Judges the agreement of the surfaces of a scene with recorded depth: the share of measured pixels that lies on them, and the
+/// share that lies behind a false surface.
+pub fn judge_depth_agreement(agrees: f64, false_surface: f64) -> Judgement {
+    let unexplained = Grade::at_most(1.0 - agrees, GOOD_UNEXPLAINED, FAIR_UNEXPLAINED);
+    let obstructed = Grade::at_most(false_surface, GOOD_FALSE, FAIR_FALSE);
+    let reason = match (obstructed.max(unexplained), obstructed >= unexplained) {
+        (Grade::Good, _) => "as well as frames of a recording agree with each other",
+        (_, true) => "bodies reach into space that the camera looked through",
+        (_, false) => "surfaces that the camera measured are missing from the scene",
+    };
+    Judgement { grade: obstructed.max(unexplained), reason: reason.into() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -139,6 +163,9 @@ mod tests {
         assert_eq!(grades(judge_depth_error, [0.0013, 0.002, 0.005, 0.0051]), [Good, Good, Fair, Poor]);
         assert_eq!(grades(judge_success, [1.0, 0.9, 0.51, 0.4]), [Good, Good, Fair, Poor]);
         assert_eq!(grades(judge_surface_error, [0.0, 0.002, 0.005, 0.0051]), [Good, Good, Fair, Poor]);
+        let agreement = [(0.95, 0.01), (0.9, 0.02), (0.84, 0.02), (0.95, 0.06), (0.6, 0.0), (f64::NAN, 0.0)];
+        let graded = agreement.map(|(agrees, wrong)| judge_depth_agreement(agrees, wrong).grade);
+        assert_eq!(graded, [Good, Good, Fair, Poor, Poor, Poor]);
         for judge in [judge_psnr, judge_depth_error, judge_surface_error, judge_success] {
             assert_eq!(judge(f64::NAN).grade, Poor);
         }

@@ -48,8 +48,8 @@ pub use networks::{MasksSource, ModelEntry, NetworksRequest, TrackMode, fetch_mo
 pub use robot_place::{RobotPlace, write_robot_place};
 pub use run::{
     EvaluateOutcome, ExecuteOutcome, ExecuteRequest, MaterializeOutcome, MaterializeRequest, NamedObjects,
-    PlanRequest, PlannedTask, RobotOutcome, RobotRequest, Run, RunSettings, RunStatus, ScanOutcome,
-    ScanRequest, StageCondition, StageStatus, is_at_rest,
+    PlanRequest, PlannedTask, RecordedAgreement, RobotOutcome, RobotRequest, Run, RunSettings, RunStatus,
+    ScanOutcome, ScanRequest, StageCondition, StageStatus, is_at_rest,
 };
 pub use samples::{landing_task_of, strike_task_of, write_task_files};
 pub use settings::Settings;

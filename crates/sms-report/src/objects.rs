@@ -11,18 +11,19 @@ use std::fmt::Write;
 /// Returns the section; empty without a scene.
 pub(crate) fn objects_section(input: &ReportInput<'_>) -> String {
     let Some(scene) = input.scene else { return String::new() };
-    let truth = input.metrics.iter().any(|(k, _)| k.starts_with("evaluate."));
+    let has = |text: fn(&Metrics, &str) -> String| {
+        scene.bodies.iter().any(|body| !text(&input.metrics, &body.name).is_empty())
+    };
+    let checks = [("recorded depth", has(depth_text)), ("error to the known model", has(truth_text))];
     let mut heads = vec!["object", "shape", "material", "mass", "friction", "restitution", "observed"];
-    if truth {
-        heads.push("error to the known model");
-    }
+    heads.extend(checks.iter().filter(|(_, shown)| *shown).map(|(head, _)| *head));
     let heads: String = heads.iter().map(|h| format!("<th scope=\"col\">{h}</th>")).collect();
     let mut html = format!(
         "<section id=\"section-objects\"><h2>Objects</h2><div class=\"scroll\" tabindex=\"0\" role=\"region\" \
          aria-label=\"table of the objects\"><table class=\"bodies\"><thead><tr>{heads}</tr></thead><tbody>"
     );
     for body in &scene.bodies {
-        row(&mut html, input, body, truth);
+        row(&mut html, input, body, checks.map(|(_, shown)| shown));
     }
     html.push_str("</tbody></table></div></section>");
     html
@@ -68,10 +69,21 @@ fn row(html: &mut String, input: &ReportInput<'_>, body: &Body, truth: bool) {
         interval(m.restitution.value),
         100.0 * body.observed_share
     );
-    if truth {
-        let _ = write!(html, "<td>{}</td>", truth_text(&input.metrics, &body.name));
+    for (text, _) in [depth_text, truth_text].iter().zip(checks).filter(|(_, shown)| *shown) {
+        let _ = write!(html, "<td>{}</td>", text(&input.metrics, &body.name));
     }
     html.push_str("</tr>");
+}
+
+/// Formats the agreement of a body with the depth of the pixels that show it; empty if it was not compared.
+fn depth_text(metrics: &Metrics, name: &str) -> String {
+    let get = |key: &str| metrics.number(&format!("evaluate.{name}.depth_{key}"));
+    match (get("agrees"), get("false_surface")) {
+        (Some(agrees), Some(wrong)) => {
+            format!("{:.0} % agrees, {:.0} % behind it", 100.0 * agrees, 100.0 * wrong)
+        }
+        _ => String::new(),
+    }
 }
 
 fn truth_text(metrics: &Metrics, name: &str) -> String {

@@ -313,6 +313,10 @@ mod tests {
         };
         let mut metrics = Metrics::new();
         metrics.set("evaluate.ball.center_error_m", 0.0005).set("evaluate.ball.radius_error_m", 0.0001);
+        for (of, agrees, wrong) in [("", 0.91, 0.013), ("holdout_", 0.87, 0.024), ("ball.", 0.77, 0.21)] {
+            metrics.set(format!("evaluate.{of}depth_agrees"), agrees);
+            metrics.set(format!("evaluate.{of}depth_false_surface"), wrong);
+        }
         let input = ReportInput {
             title: "a <b> & c".into(),
             scene: Some(&scene),
@@ -325,6 +329,9 @@ mod tests {
         let page = std::fs::read_to_string(write_report(dir.path(), &input).unwrap()).unwrap();
         assert!(page.contains("a &lt;b&gt; &amp; c") && page.contains("4.00 mm"));
         assert!(page.contains("centre 0.50 mm, radius 0.10 mm"));
+        // Held-out views come first, and each body has its own shares.
+        assert!(page.contains("87.0 %") && !page.contains("91.0 %") && page.contains("2.4 %"));
+        assert!(page.contains("77 % agrees, 21 % behind it"));
         assert!(!page.contains("{{") && !page.contains("src=\"http") && !page.contains("href=\"http"));
         assert!(dir.path().join("shot.svg").exists());
     }

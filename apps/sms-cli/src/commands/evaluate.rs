@@ -3,18 +3,14 @@
 
 use crate::cli::EvaluateArguments;
 use sms_cli::front::Console;
-use sms_core::{judge_surface_error, length_text};
-use sms_pipeline::Run;
+use sms_core::{judge_depth_agreement, judge_surface_error, length_text};
 use sms_pipeline::stages::Comparison;
+use sms_pipeline::{RecordedAgreement, Run};
 
 pub(crate) fn run(console: &Console, a: &EvaluateArguments) -> anyhow::Result<()> {
     let run = Run::new(&a.run, &console.context);
     let outcome = run.evaluate(a.objects.as_deref())?;
-    if let Some([agrees, false_surface, hole]) = outcome.agreement.shares().map(|s| s.map(|v| 1e2 * v)) {
-        console.say(format!(
-            "recorded depth: {agrees:.1} % of the measured pixels lie on the scene's surfaces (within 5 mm + 1 % of the depth), {false_surface:.1} % behind a false surface, {hole:.1} % in a hole"
-        ));
-    }
+    say_agreement(console, &outcome.agreement);
     for c in &outcome.comparisons {
         let if_fixed = |mark| if c.is_fixed { mark } else { "" };
         console.say(match (outcome.is_truth, c.sphere) {
@@ -41,6 +37,21 @@ pub(crate) fn run(console: &Console, a: &EvaluateArguments) -> anyhow::Result<()
         ));
     }
     console.conclude(&run)
+}
+
+/// Prints the agreement of the scene with the recorded depth, that in held-out frames first.
+pub(super) fn say_agreement(console: &Console, agreement: &RecordedAgreement) {
+    let held_out = ("held-out frames", agreement.held_out);
+    for (frames, found) in [held_out, ("all frames", agreement.all)] {
+        let Some([agrees, false_surface, hole]) = found.shares() else { continue };
+        console.say(format!(
+            "recorded depth, {frames}: {:.1} % of the measured pixels lie on the scene's surfaces (within 5 mm + 1 % of the depth), {:.1} % behind a false surface, {:.1} % in a hole: {}",
+            1e2 * agrees,
+            1e2 * false_surface,
+            1e2 * hole,
+            judge_depth_agreement(agrees, false_surface)
+        ));
+    }
 }
 
 /// Formats the scores.

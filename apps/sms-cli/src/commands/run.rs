@@ -1,10 +1,10 @@
 //! `sms run`: all stages on a recording, with one summary at the end.
 
-use super::{execute, materialize, plan, report, scan, simulate};
+use super::{evaluate, execute, materialize, plan, report, scan, simulate};
 use crate::cli::{self, RunArguments};
 use sms_cli::front::{Console, note};
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, counted, duration_text, length_text};
+use sms_core::{InputError, counted, duration_text, judge_depth_agreement, length_text};
 use sms_pipeline::{PlanRequest, Run, StageCondition};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -66,6 +66,7 @@ fn stages(console: &Console, a: &RunArguments, root: &Path) -> anyhow::Result<Pa
     let (run, materials) = (root.to_owned(), a.materials.clone());
     let arguments = cli::MaterializeArguments { run, materials, vlm: cli::VlmName::default() };
     materialize::run(console, &arguments)?;
+    evaluate::say_agreement(console, &Run::new(root, &console.context).compare_depth()?);
     simulate::run(console, &cli::SimulateArguments { run: root.to_owned(), seconds: REST_S })?;
     if let Some(task) = &a.task {
         let run = Run::new(root, &console.context);
@@ -116,6 +117,15 @@ fn summary(m: &Metrics) -> Vec<(&'static str, String)> {
         scene += &format!("; at rest for {seconds} s, they move at most {drift}");
     }
     lines.push(("scene", scene));
+    let agreement = |of: &str| {
+        let number = |figure: &str| m.number(&format!("evaluate.{of}depth_{figure}"));
+        Some((number("agrees")?, number("false_surface")?))
+    };
+    if let Some((agrees, wrong)) = agreement("holdout_").or_else(|| agreement("")) {
+        let percent = 100.0 * agrees;
+        let judged = judge_depth_agreement(agrees, wrong);
+        lines.push(("depth", format!("{percent:.1} % of the recorded depth lies on the scene: {judged}")));
+    }
     let is = |key: &str| m.get(key).and_then(serde_json::Value::as_bool);
     let is_stale = |stage: &str| m.get(&format!("stale.{stage}")).is_some();
     let share = m.number("plan.predicted_success_share").or_else(|| m.number("plan.success_share"));
@@ -149,10 +159,15 @@ mod tests {
         assert!(summary(&m)[1].1.starts_with("6 moving bodies; "));
         m.set("simulate.fixed_bodies", 11);
         assert!(summary(&m)[1].1.starts_with("6 moving and 11 fixed bodies; "));
+        m.set("evaluate.depth_agrees", 0.99).set("evaluate.depth_false_surface", 0.001);
+        assert_eq!(parts(&m), ["scan", "scene", "depth"]);
+        assert!(summary(&m)[2].1.contains("99.0 %"));
+        m.set("evaluate.holdout_depth_agrees", 0.7).set("evaluate.holdout_depth_false_surface", 0.001);
+        assert!(summary(&m)[2].1.contains("70.0 %"));
         m.set("plan.predicted_mean", 0.0056).set("execute.objective", 0.0068).set("execute.success", true);
-        assert_eq!(parts(&m), ["scan", "scene", "plan", "execution"]);
-        assert!(summary(&m)[3].1.contains("6.80 mm"));
+        assert_eq!(parts(&m), ["scan", "scene", "depth", "plan", "execution"]);
+        assert!(summary(&m)[4].1.contains("6.80 mm"));
         m.set("stale.plan", "`scene` has another result now").set("stale.target", "");
-        assert_eq!(parts(&m), ["scan", "scene"]);
+        assert_eq!(parts(&m), ["scan", "scene", "depth"]);
     }
 }

@@ -23,11 +23,20 @@ const REST_S: f64 = 1.0;
 /// Distance between the compared pixels, in both directions.
 const PIXEL_STEP: usize = 4;
 
+/// The scene's surfaces against the recorded depth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RecordedAgreement {
+    /// In all frames.
+    pub all: DepthAgreement,
+    /// In the frames that the scan did not use; empty if it used all.
+    pub held_out: DepthAgreement,
+}
+
 /// Result of [`Run::evaluate`].
 #[derive(Debug, Clone)]
 pub struct EvaluateOutcome {
     /// The scene's surfaces against the recorded depth.
-    pub agreement: DepthAgreement,
+    pub agreement: RecordedAgreement,
     /// The compared pairs, in the order of the known objects; empty without known objects.
     pub comparisons: Vec<Comparison>,
     /// Whether the known objects are the ground truth of a generated recording.
@@ -38,6 +47,21 @@ pub struct EvaluateOutcome {
 }
 
 impl Run<'_> {
+    /// Compares the scene with the recorded depth.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if the scene is stale.
+    pub fn compare_depth(&self) -> Result<RecordedAgreement, Error> {
+        let run = self.open()?;
+        let sequence = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?;
+        let scene = load_scene(&current_dir(&run, "scene", "materialize")?)?;
+        let mut metrics = Metrics::new();
+        let agreement = add_agreement(&scene, &sequence, RunSettings::of(&run)?.holdout, &mut metrics);
+        let replaced = ["evaluate.depth_", "evaluate.holdout_depth_"];
+        record(self.context, &run, "evaluate", &replaced, metrics, &Warnings::new())?;
+        Ok(agreement)
+    }
+
     /// Compares the scene with the recorded depth, and the entities with the models of an `objects.json` or with the ground truth of a
     /// generated recording, if there are any.
     ///
@@ -72,7 +96,7 @@ impl Run<'_> {
         };
         let names = if truth.is_some() { MetricNames::Entity } else { MetricNames::Known };
         let mut metrics = Metrics::new();
-        let agreement = add_agreement(&scene, &sequence, &mut metrics);
+        let agreement = add_agreement(&scene, &sequence, scan.holdout, &mut metrics);
         let fixed: Vec<&str> =
             scene.bodies.iter().filter(|b| b.kind == BodyKind::Static).map(|b| b.name.as_str()).collect();
         let comparisons = evaluate(&known, &set.entities, &fixed, &settings, names, &mut metrics, &warnings)?;
@@ -91,26 +115,38 @@ impl Run<'_> {
     }
 }
 
-/// Compares the scene with the depth of all frames, and adds the shares of measured pixels to the metrics: of all, and of those that
-/// each body is first in.
-fn add_agreement(scene: &Scene, sequence: &Sequence, metrics: &mut Metrics) -> DepthAgreement {
-    let views: Vec<_> = sequence.frames.iter().map(|f| (f.camera, &f.depth)).collect();
-    let found = depth_agreement(scene, &views, PIXEL_STEP);
-    metrics.set("evaluate.depth_pixels", found.all.measured);
-    if let Some([agrees, false_surface, hole]) = found.all.shares() {
-        metrics.set("evaluate.depth_agrees", agrees);
-        metrics.set("evaluate.depth_false_surface", false_surface).set("evaluate.depth_hole", hole);
-    }
-    for (body, of_body) in scene.bodies.iter().zip(&found.bodies) {
-        if let Some([agrees, false_surface, hole]) = of_body.shares() {
-            let key = |figure: &str| format!("evaluate.{}.depth_{figure}", body.name);
-            metrics
-                .set(key("agrees"), agrees)
-                .set(key("false_surface"), false_surface)
-                .set(key("hole"), hole);
+/// Compares the scene with the depth of all frames, and adds the shares of measured pixels to the metrics: of all, of those in the
+/// frames that the scan did not use, and of those that each body is first in.
+fn add_agreement(
+    scene: &Scene,
+    sequence: &Sequence,
+    holdout: usize,
+    metrics: &mut Metrics,
+) -> RecordedAgreement {
+    let of_frames = |frames: &[usize]| {
+        let views: Vec<_> =
+            frames.iter().map(|&i| &sequence.frames[i]).map(|f| (f.camera, &f.depth)).collect();
+        depth_agreement(scene, &views, PIXEL_STEP)
+    };
+    let mut found = of_frames(&sequence.trained(holdout));
+    let held_out = of_frames(&sequence.held_out(holdout));
+    let bodies = found.bodies.iter_mut().zip(&held_out.bodies);
+    bodies.for_each(|(sum, held_out)| *sum += *held_out);
+    found.all += held_out.all;
+    let mut add = |prefix: &str, of: &DepthAgreement| {
+        if let Some([agrees, false_surface, hole]) = of.shares() {
+            for (figure, share) in [("agrees", agrees), ("false_surface", false_surface), ("hole", hole)] {
+                metrics.set(format!("evaluate.{prefix}depth_{figure}"), share);
+            }
         }
+    };
+    add("", &found.all);
+    add("holdout_", &held_out.all);
+    for (body, of_body) in scene.bodies.iter().zip(&found.bodies) {
+        add(&format!("{}.", body.name), of_body);
     }
-    found.all
+    metrics.set("evaluate.depth_pixels", found.all.measured);
+    RecordedAgreement { all: found.all, held_out: held_out.all }
 }
 
 /// Adds metrics of the found objects and balls of the ground truth.

@@ -18,7 +18,7 @@ mod simulate;
 mod status;
 
 pub use ask_names::NamedObjects;
-pub use evaluate::EvaluateOutcome;
+pub use evaluate::{EvaluateOutcome, RecordedAgreement};
 pub use execute::{ExecuteOutcome, ExecuteRequest};
 pub use materialize::{MaterializeOutcome, MaterializeRequest};
 pub use plan::{PlanRequest, PlannedTask};
