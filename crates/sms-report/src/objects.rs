@@ -8,22 +8,26 @@ use sms_core::{BACKGROUND, Interval, escape_xml};
 use sms_scene::{Body, BodyShape};
 use std::fmt::Write;
 
+/// Formats a comparison of the body with this name; empty if it was not compared.
+type CheckText = fn(&Metrics, &str) -> String;
+/// The head of a column, and its text.
+type Check = (&'static str, CheckText);
+
 /// Returns the section; empty without a scene.
 pub(crate) fn objects_section(input: &ReportInput<'_>) -> String {
     let Some(scene) = input.scene else { return String::new() };
-    let has = |text: fn(&Metrics, &str) -> String| {
-        scene.bodies.iter().any(|body| !text(&input.metrics, &body.name).is_empty())
-    };
-    let checks = [("recorded depth", has(depth_text)), ("error to the known model", has(truth_text))];
+    let checks: [Check; 2] = [("recorded depth", depth_text), ("error to the known model", truth_text)];
+    let has = |text: CheckText| scene.bodies.iter().any(|body| !text(&input.metrics, &body.name).is_empty());
+    let checks: Vec<Check> = checks.into_iter().filter(|(_, text)| has(*text)).collect();
     let mut heads = vec!["object", "shape", "material", "mass", "friction", "restitution", "observed"];
-    heads.extend(checks.iter().filter(|(_, shown)| *shown).map(|(head, _)| *head));
+    heads.extend(checks.iter().map(|(head, _)| *head));
     let heads: String = heads.iter().map(|h| format!("<th scope=\"col\">{h}</th>")).collect();
     let mut html = format!(
         "<section id=\"section-objects\"><h2>Objects</h2><div class=\"scroll\" tabindex=\"0\" role=\"region\" \
          aria-label=\"table of the objects\"><table class=\"bodies\"><thead><tr>{heads}</tr></thead><tbody>"
     );
     for body in &scene.bodies {
-        row(&mut html, input, body, checks.map(|(_, shown)| shown));
+        row(&mut html, input, body, &checks);
     }
     html.push_str("</tbody></table></div></section>");
     html
@@ -46,7 +50,7 @@ fn shape_text(shape: &BodyShape) -> String {
     }
 }
 
-fn row(html: &mut String, input: &ReportInput<'_>, body: &Body, truth: bool) {
+fn row(html: &mut String, input: &ReportInput<'_>, body: &Body, checks: &[Check]) {
     let m = &body.material;
     let role = input.roles.iter().find(|r| r.0 == body.name).map(|r| r.1.as_str());
     let role = role.map(|r| format!(" <span class=\"tag\">{}</span>", escape_xml(r))).unwrap_or_default();
@@ -69,7 +73,7 @@ fn row(html: &mut String, input: &ReportInput<'_>, body: &Body, truth: bool) {
         interval(m.restitution.value),
         100.0 * body.observed_share
     );
-    for (text, _) in [depth_text, truth_text].iter().zip(checks).filter(|(_, shown)| *shown) {
+    for (_, text) in checks {
         let _ = write!(html, "<td>{}</td>", text(&input.metrics, &body.name));
     }
     html.push_str("</tr>");
