@@ -7,6 +7,7 @@ use rand::RngExt;
 use rayon::prelude::*;
 use sms_core::{Seed, StageRng};
 use sms_frames::Frame;
+use std::ops::Range;
 
 /// A frame adds elements to a surface that others cover if its own are denser by this factor.
 const FINER: f64 = 2.0;
@@ -24,13 +25,9 @@ pub(crate) fn grow(
     seed: Seed,
 ) {
     let mut pixels = FramePoints::of(frame, config);
-    let seen: Vec<Option<(usize, usize)>> =
+    let seen: Vec<Option<Window>> =
         surfels.par_iter_mut().with_min_len(256).map(|surfel| pixels.see(surfel)).collect();
-    for (surfel, place) in surfels.iter().zip(seen) {
-        if let Some((x, y)) = place {
-            pixels.cover(x, y, surfel);
-        }
-    }
+    pixels.cover_all(surfels, &seen);
     let mut rng = seed.derive("order").rng();
     let is_open =
         |i: &usize| !pixels.covered[*i] && pixels.points[*i].is_some_and(|p| p.cosine >= config.min_cosine);
@@ -42,7 +39,8 @@ pub(crate) fn grow(
     for i in edges.into_iter().chain(others) {
         let Some(point) = pixels.points[i].filter(|_| !pixels.covered[i]) else { continue };
         let surfel = point.surfel(frame, config, SeedPixel { slot, pixel: i });
-        pixels.cover(i % pixels.width, i / pixels.width, &surfel);
+        let window = pixels.window(i % pixels.width, i / pixels.width, &surfel, point.footprint_m);
+        pixels.cover(window, &surfel);
         surfels.push(surfel);
     }
 }
@@ -54,6 +52,9 @@ fn shuffle(values: &mut [usize], rng: &mut StageRng) {
     }
 }
 
+/// Columns and rows of the pixels that an element can cover.
+type Window = (Range<usize>, Range<usize>);
+
 /// The measured surface of a frame, and the part of it that elements cover.
 struct FramePoints<'a> {
     frame: &'a Frame,
@@ -62,15 +63,12 @@ struct FramePoints<'a> {
     height: usize,
     points: Vec<Option<MeasuredPoint>>,
     covered: Vec<bool>,
-    /// Half the side of the square of pixels that an element can cover.
-    reach: usize,
 }
 
 impl<'a> FramePoints<'a> {
     fn of(frame: &'a Frame, config: &'a SurfaceConfig) -> Self {
         let (width, height) = frame.depth.size();
         let pixels = (0..width * height).into_par_iter().with_min_len(1024);
-        let widest_px = FINER * config.spacing_px * config.edge_spacing.max(1.0);
         Self {
             frame,
             config,
@@ -78,14 +76,14 @@ impl<'a> FramePoints<'a> {
             height,
             points: pixels.map(|i| measured_point(frame, i, config)).collect(),
             covered: vec![false; width * height],
-            reach: widest_px.ceil() as usize + 1,
         }
     }
 
-    /// Returns the pixel of an element that faces the camera. If the frame resolves it better than those before, it is noted.
-    fn see(&self, surfel: &mut Surfel) -> Option<(usize, usize)> {
+    /// Returns the pixels that an element can cover, if it faces the camera. If the frame resolves it better than those before, it is
+    /// noted.
+    fn see(&self, surfel: &mut Surfel) -> Option<Window> {
         let camera = &self.frame.camera;
-        let (u, v, _) = camera.project(surfel.p_w)?;
+        let (u, v, z) = camera.project(surfel.p_w)?;
         let (x, y) = camera.pixel_at(u, v)?;
         let to_camera_w = (camera.center_w() - surfel.p_w).normalize();
         if surfel.n_w.dot(to_camera_w) <= 0.0 {
@@ -97,7 +95,16 @@ impl<'a> FramePoints<'a> {
                 (surfel.pitch_m, surfel.to_camera_w) = (pitch_m, to_camera_w);
             }
         }
-        Some((x, y))
+        Some(self.window(x, y, surfel, camera.intrinsics.pixel_footprint(z)))
+    }
+
+    /// Returns the pixels around (x, y) that an element can cover, for the size of a pixel at its depth.
+    fn window(&self, x: usize, y: usize, surfel: &Surfel, footprint_m: f64) -> Window {
+        let widest_px = self.config.spacing_px * self.config.edge_spacing.max(1.0);
+        let reach_px = (surfel.spacing_m / footprint_m).clamp(widest_px, FINER * widest_px);
+        let reach = reach_px.ceil() as usize + 1;
+        let around = |at: usize, end: usize| at.saturating_sub(reach)..(at + reach + 1).min(end);
+        (around(x, self.width), around(y, self.height))
     }
 
     /// Whether a point lies within the tolerance of the plane of an element, on the same side of a wall.
@@ -106,20 +113,42 @@ impl<'a> FramePoints<'a> {
         point.n_w.dot(surfel.n_w) > 0.0 && (point.p_w - surfel.p_w).dot(surfel.n_w).abs() <= gate_m
     }
 
-    /// Marks the points around pixel (x, y) that an element covers.
-    fn cover(&mut self, x: usize, y: usize, surfel: &Surfel) {
-        for j in y.saturating_sub(self.reach)..(y + self.reach + 1).min(self.height) {
-            for i in x.saturating_sub(self.reach)..(x + self.reach + 1).min(self.width) {
-                let pixel = j * self.width + i;
-                if let Some(point) = self.points[pixel].as_ref().filter(|_| !self.covered[pixel]) {
-                    let off = point.p_w - surfel.p_w;
-                    let along = off.dot(surfel.n_w);
-                    let most = surfel.spacing_m.clamp(point.spacing_m, FINER * point.spacing_m);
-                    self.covered[pixel] =
-                        off.length_squared() - along * along < most * most && self.is_on(point, surfel);
-                }
+    /// Marks the points that an element covers.
+    fn cover(&mut self, (columns, rows): Window, surfel: &Surfel) {
+        for row in rows {
+            for pixel in row * self.width + columns.start..row * self.width + columns.end {
+                self.covered[pixel] = self.covered[pixel] || self.is_covered(pixel, surfel);
             }
         }
+    }
+
+    /// Marks the points that elements cover, each in its window, row by row of the image in parallel.
+    fn cover_all(&mut self, surfels: &[Surfel], windows: &[Option<Window>]) {
+        let mut of_rows: Vec<Vec<u32>> = vec![Vec::new(); self.height];
+        for (i, window) in windows.iter().enumerate() {
+            let rows = window.iter().flat_map(|(_, rows)| rows.clone());
+            rows.for_each(|row| of_rows[row].push(i as u32));
+        }
+        let mut covered = std::mem::take(&mut self.covered);
+        covered.par_chunks_mut(self.width).zip(&of_rows).enumerate().for_each(|(row, (covered, over))| {
+            for &i in over {
+                let Some((columns, _)) = &windows[i as usize] else { continue };
+                for column in columns.clone() {
+                    covered[column] =
+                        covered[column] || self.is_covered(row * self.width + column, &surfels[i as usize]);
+                }
+            }
+        });
+        self.covered = covered;
+    }
+
+    fn is_covered(&self, pixel: usize, surfel: &Surfel) -> bool {
+        self.points[pixel].as_ref().is_some_and(|point| {
+            let off = point.p_w - surfel.p_w;
+            let along = off.dot(surfel.n_w);
+            let most = surfel.spacing_m.clamp(point.spacing_m, FINER * point.spacing_m);
+            off.length_squared() - along * along < most * most && self.is_on(point, surfel)
+        })
     }
 }
 
