@@ -24,8 +24,8 @@ pub(crate) struct Arguments {
 pub(crate) enum Command {
     /// Run all stages on a recording, with one summary at the end.
     ///
-    /// Scans, materializes and simulates; plans if a task is given, and executes the plan if the recording has a ground
-    /// truth; then writes the report. Stages that are up to date are not run again, and an interrupted one is resumed.
+    /// Scans, materializes, compares the scene with the recorded depth and simulates it; plans if a task is given, and
+    /// executes the plan if the recording has a ground truth; then writes the report. Stages that are up to date are not run again, and an interrupted one is resumed.
     Run(RunArguments),
     /// List the stages of a run: complete, stale (and why) or absent; and the next commands.
     Status(StatusArguments),

@@ -9,11 +9,11 @@ use sms_target::TargetEngine;
 /// Preset of the scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum PresetName {
-    /// 200 px, at most 100 + 10 per frame + 150 steps: a quick test of a recording.
+    /// 200 px, 300 steps: a quick test of a recording.
     Draft,
-    /// 320 px, at most 200 + 30 per frame + 300 steps: objects and planning (default).
+    /// 320 px, 600 steps: objects and planning (default).
     Standard,
-    /// 640 px, at most 400 + 30 per frame + 1000 steps: thin parts and sharp views; six times the steps × pixels of standard.
+    /// 640 px, 2000 steps: thin parts and sharp views; thirteen times the steps × pixels of standard.
     Fine,
 }
 
