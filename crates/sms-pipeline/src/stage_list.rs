@@ -19,7 +19,7 @@ pub(crate) const STAGES: [(&str, &[&str]); 8] = [
 ];
 
 /// Checks without a folder, with the stage that they check.
-pub(crate) const CHECKS: [(&str, &str); 2] = [("evaluate", "entities"), ("simulate", "scene")];
+pub(crate) const CHECKS: [(&str, &str); 2] = [("evaluate", "scene"), ("simulate", "scene")];
 
 /// Returns the prefixes of the metrics of a stage.
 pub(crate) fn prefixes(stage: &str) -> &'static [&'static str] {

@@ -39,7 +39,7 @@ pub(crate) fn grow(
     for i in edges.into_iter().chain(others) {
         let Some(point) = pixels.points[i].filter(|_| !pixels.covered[i]) else { continue };
         let surfel = point.surfel(frame, config, SeedPixel { slot, pixel: i });
-        let window = pixels.window(i % pixels.width, i / pixels.width, &surfel, point.footprint_m);
+        let window = pixels.window((i % pixels.width, i / pixels.width), point.z_m, &surfel);
         pixels.cover(window, &surfel);
         surfels.push(surfel);
     }
@@ -95,14 +95,22 @@ impl<'a> FramePoints<'a> {
                 (surfel.pitch_m, surfel.to_camera_w) = (pitch_m, to_camera_w);
             }
         }
-        Some(self.window(x, y, surfel, camera.intrinsics.pixel_footprint(z)))
+        Some(self.window((x, y), z, surfel))
     }
 
-    /// Returns the pixels around (x, y) that an element can cover, for the size of a pixel at its depth.
-    fn window(&self, x: usize, y: usize, surfel: &Surfel, footprint_m: f64) -> Window {
-        let widest_px = self.config.spacing_px * self.config.edge_spacing.max(1.0);
-        let reach_px = (surfel.spacing_m / footprint_m).clamp(widest_px, FINER * widest_px);
-        let reach = reach_px.ceil() as usize + 1;
+    /// Returns the pixels that an element at pixel (x, y) and depth `z_m` can cover.
+    fn window(&self, (x, y): (usize, usize), z_m: f64, surfel: &Surfel) -> Window {
+        let to_camera_w = self.frame.camera.center_w() - surfel.p_w;
+        let facing = surfel.n_w.dot(to_camera_w.normalize());
+        let footprint_m = self.frame.camera.intrinsics.pixel_footprint(z_m);
+        let widest_m = self.config.spacing_px * self.config.edge_spacing.max(1.0) * footprint_m;
+        let in_plane_m = surfel.spacing_m.clamp(widest_m, FINER * widest_m);
+        // A point off the plane appears beside the element if the plane is seen obliquely.
+        let gate_m = self.config.tolerance.at(&self.frame.depth_noise, z_m);
+        let beside_m = gate_m * (1.0 - facing * facing).max(0.0).sqrt();
+        // Away from the axis, pixels are smaller by the cosine of the ray.
+        let pixel_m = footprint_m * z_m / to_camera_w.length();
+        let reach = ((in_plane_m + beside_m) / pixel_m).ceil() as usize + 1;
         let around = |at: usize, end: usize| at.saturating_sub(reach)..(at + reach + 1).min(end);
         (around(x, self.width), around(y, self.height))
     }
@@ -124,24 +132,27 @@ impl<'a> FramePoints<'a> {
 
     /// Marks the points that elements cover, each in its window, row by row of the image in parallel.
     fn cover_all(&mut self, surfels: &[Surfel], windows: &[Option<Window>]) {
-        let mut of_rows: Vec<Vec<u32>> = vec![Vec::new(); self.height];
+        let mut surfels_of_rows: Vec<Vec<u32>> = vec![Vec::new(); self.height];
         for (i, window) in windows.iter().enumerate() {
             let rows = window.iter().flat_map(|(_, rows)| rows.clone());
-            rows.for_each(|row| of_rows[row].push(i as u32));
+            rows.for_each(|row| surfels_of_rows[row].push(i as u32));
         }
         let mut covered = std::mem::take(&mut self.covered);
-        covered.par_chunks_mut(self.width).zip(&of_rows).enumerate().for_each(|(row, (covered, over))| {
-            for &i in over {
-                let Some((columns, _)) = &windows[i as usize] else { continue };
-                for column in columns.clone() {
-                    covered[column] =
-                        covered[column] || self.is_covered(row * self.width + column, &surfels[i as usize]);
+        covered.par_chunks_mut(self.width.max(1)).zip(&surfels_of_rows).enumerate().for_each(
+            |(row, (covered, of_row))| {
+                for &i in of_row {
+                    let Some((columns, _)) = &windows[i as usize] else { continue };
+                    for column in columns.clone() {
+                        covered[column] = covered[column]
+                            || self.is_covered(row * self.width + column, &surfels[i as usize]);
+                    }
                 }
-            }
-        });
+            },
+        );
         self.covered = covered;
     }
 
+    /// Whether an element covers the measured point at a pixel.
     fn is_covered(&self, pixel: usize, surfel: &Surfel) -> bool {
         self.points[pixel].as_ref().is_some_and(|point| {
             let off = point.p_w - surfel.p_w;
@@ -156,6 +167,8 @@ impl<'a> FramePoints<'a> {
 mod tests {
     use super::*;
     use crate::fixture::{config, facing_plane};
+    use glamx::DVec3;
+    use sms_core::{Camera, Image, Intrinsics};
 
     #[test]
     fn elements_cover_a_plane_at_the_spacing_of_its_pixels_and_a_second_view_adds_none() {
@@ -189,6 +202,46 @@ mod tests {
         // Between pixel centres of the first frame, few places are farther than the spacing from all elements.
         let (coarser, finer) = (added(0.7), added(0.3));
         assert!(finer > 100 && 4 * coarser < finer, "{coarser} {finer}");
+    }
+
+    /// A camera that looks down on the plane z = 0 obliquely, with errors of depth near the tolerance and small pixels.
+    fn oblique_plane() -> Frame {
+        let (width, height) = (96, 64);
+        let (mut frame, eye_w) = (facing_plane(0.5, 0.0), DVec3::new(0.1, -0.4, 0.2));
+        frame.camera =
+            Camera::look_at(Intrinsics::from_fov(width, height, 0.2), eye_w, DVec3::ZERO, DVec3::Z);
+        let normal_c = frame.camera.x_wc.rotation.inverse() * DVec3::Z;
+        frame.normal_c = Image::filled(width, height, normal_c.as_vec3().to_array());
+        frame.color = Image::filled(width, height, [0; 3]);
+        frame.depth = Image::filled(width, height, 0.0);
+        for (i, z) in frame.depth.data.iter_mut().enumerate() {
+            let ray_w = frame.camera.unproject_pixel(i % width, i / width, 1.0) - eye_w;
+            *z = (-eye_w.z / ray_w.z) as f32 + [0.0, 0.004, -0.004, 0.002, -0.001][i % 5];
+        }
+        frame
+    }
+
+    #[test]
+    fn an_element_covers_nothing_outside_of_its_window() {
+        for spacing_px in [1.0, 2.5, 12.0] {
+            let (frame, config) = (oblique_plane(), SurfaceConfig { spacing_px, ..config() });
+            let mut surfels = Vec::new();
+            grow(&mut surfels, &frame, 0, &config, Seed(1));
+            let mut pixels = FramePoints::of(&frame, &config);
+            let windows: Vec<Option<Window>> = surfels.iter_mut().map(|s| pixels.see(s)).collect();
+            let mut everywhere = vec![false; pixels.points.len()];
+            for (surfel, window) in surfels.iter().zip(&windows) {
+                let (columns, rows) = window.as_ref().unwrap();
+                for i in (0..everywhere.len()).filter(|&i| pixels.is_covered(i, surfel)) {
+                    let (x, y) = (i % pixels.width, i / pixels.width);
+                    assert!(columns.contains(&x) && rows.contains(&y), "{spacing_px} px: {x} {y} {window:?}");
+                    everywhere[i] = true;
+                }
+            }
+            pixels.cover_all(&surfels, &windows);
+            assert!(everywhere.iter().filter(|c| **c).count() > 2000);
+            assert_eq!(pixels.covered, everywhere);
+        }
     }
 
     #[test]

@@ -47,18 +47,20 @@ pub struct EvaluateOutcome {
 }
 
 impl Run<'_> {
-    /// Compares the scene with the recorded depth.
+    /// Compares the scene with the recorded depth, and adds the result to the metrics of [`Run::evaluate`].
     ///
     /// # Errors
-    /// [`Error::Input`] if the scene is stale.
+    /// [`Error::Core`] if there is no scene, [`Error::Input`] if it is stale because of an earlier stage.
     pub fn compare_depth(&self) -> Result<RecordedAgreement, Error> {
         let run = self.open()?;
         let sequence = Sequence::load(&run.stage_dir("frames", "scan DIR --out")?)?;
         let scene = load_scene(&current_dir(&run, "scene", "materialize")?)?;
-        let mut metrics = Metrics::new();
+        self.warn_stale(&run, "scene");
+        let path = run.metrics_path();
+        // Figures of another scene were removed when this one was made.
+        let mut metrics = Metrics::load(&path)?;
         let agreement = add_agreement(&scene, &sequence, RunSettings::of(&run)?.holdout, &mut metrics);
-        let replaced = ["evaluate.depth_", "evaluate.holdout_depth_"];
-        record(self.context, &run, "evaluate", &replaced, metrics, &Warnings::new())?;
+        metrics.save(&path)?;
         Ok(agreement)
     }
 
@@ -128,11 +130,13 @@ fn add_agreement(
             frames.iter().map(|&i| &sequence.frames[i]).map(|f| (f.camera, &f.depth)).collect();
         depth_agreement(scene, &views, PIXEL_STEP)
     };
-    let mut found = of_frames(&sequence.trained(holdout));
-    let held_out = of_frames(&sequence.held_out(holdout));
-    let bodies = found.bodies.iter_mut().zip(&held_out.bodies);
-    bodies.for_each(|(sum, held_out)| *sum += *held_out);
-    found.all += held_out.all;
+    let (used, held_out) = (of_frames(&sequence.trained(holdout)), of_frames(&sequence.held_out(holdout)));
+    let sum = |a: DepthAgreement, b: DepthAgreement| {
+        let mut sum = a;
+        sum += b;
+        sum
+    };
+    let all = sum(used.all, held_out.all);
     let mut add = |prefix: &str, of: &DepthAgreement| {
         if let Some([agrees, false_surface, hole]) = of.shares() {
             for (figure, share) in [("agrees", agrees), ("false_surface", false_surface), ("hole", hole)] {
@@ -140,13 +144,13 @@ fn add_agreement(
             }
         }
     };
-    add("", &found.all);
+    add("", &all);
     add("holdout_", &held_out.all);
-    for (body, of_body) in scene.bodies.iter().zip(&found.bodies) {
-        add(&format!("{}.", body.name), of_body);
+    for (i, body) in scene.bodies.iter().enumerate() {
+        add(&format!("{}.", body.name), &sum(used.bodies[i], held_out.bodies[i]));
     }
-    metrics.set("evaluate.depth_pixels", found.all.measured);
-    RecordedAgreement { all: found.all, held_out: held_out.all }
+    metrics.set("evaluate.depth_pixels", all.measured);
+    RecordedAgreement { all, held_out: held_out.all }
 }
 
 /// Adds metrics of the found objects and balls of the ground truth.
