@@ -79,12 +79,13 @@ fn row(html: &mut String, input: &ReportInput<'_>, body: &Body, checks: &[Check]
     html.push_str("</tr>");
 }
 
-/// Formats the agreement of a body with the depth of the pixels that show it; empty if it was not compared.
+/// Formats the agreement of a body with the recorded depth of the pixels in which it is the first surface of the scene; empty if
+/// there are none.
 fn depth_text(metrics: &Metrics, name: &str) -> String {
     let get = |key: &str| metrics.number(&format!("evaluate.{name}.depth_{key}"));
     match (get("agrees"), get("false_surface")) {
         (Some(agrees), Some(wrong)) => {
-            format!("{:.0} % agrees, {:.0} % behind it", 100.0 * agrees, 100.0 * wrong)
+            format!("{:.0} % on it, {:.0} % behind it", 100.0 * agrees, 100.0 * wrong)
         }
         _ => String::new(),
     }

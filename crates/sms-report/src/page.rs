@@ -331,7 +331,7 @@ mod tests {
         assert!(page.contains("centre 0.50 mm, radius 0.10 mm"));
         // Held-out views come first, and each body has its own shares.
         assert!(page.contains("87.0 %") && !page.contains("91.0 %") && page.contains("2.4 %"));
-        assert!(page.contains("77 % agrees, 21 % behind it"));
+        assert!(page.contains("77 % on it, 21 % behind it"));
         assert!(!page.contains("{{") && !page.contains("src=\"http") && !page.contains("href=\"http"));
         assert!(dir.path().join("shot.svg").exists());
     }
@@ -351,10 +351,13 @@ mod tests {
     #[test]
     fn a_page_without_a_plan_shows_none_of_its_parts() {
         let scene = scene();
-        let input = ReportInput { scene: Some(&scene), ..ReportInput::default() };
+        let mut metrics = Metrics::new();
+        metrics.set("evaluate.ball.depth_agrees", 0.8).set("evaluate.ball.depth_false_surface", 0.1);
+        let input = ReportInput { scene: Some(&scene), metrics, ..ReportInput::default() };
         let dir = tempfile::tempdir().unwrap();
         let page = std::fs::read_to_string(write_report(dir.path(), &input).unwrap()).unwrap();
         assert!(page.contains("id=\"canvas\"") && page.contains("section-objects"));
+        assert!(page.contains("80 % on it, 10 % behind it") && !page.contains("error to the known model"));
         assert!(
             !page.contains("section-plan")
                 && !page.contains("from above")

@@ -16,13 +16,13 @@ pub const SAME_SURFACE_COSINE: f64 = 0.7;
 pub enum WallSide {
     /// The one that the normal of the element points out of.
     Normal,
-    /// The one with more measurements: the sign of the normal has no meaning.
+    /// The one with more measurements: for discs, whose normals may point either way.
     MostMeasured,
 }
 
 /// Moves every element along its normal to the mean of the measurements of `frames`, and turns it to their mean normal.
 /// A thin wall is measured from both sides, and the mean of both would lie inside the wall: only those of `side` count.
-/// Elements without measurements remain unchanged.
+/// Elements without measurements on that side remain unchanged.
 ///
 /// # Errors
 /// [`CoreError::Interrupted`] when cancelled; the elements are then unchanged.

@@ -121,10 +121,12 @@ fn summary(m: &Metrics) -> Vec<(&'static str, String)> {
         let number = |figure: &str| m.number(&format!("evaluate.{of}depth_{figure}"));
         Some((number("agrees")?, number("false_surface")?))
     };
-    if let Some((agrees, wrong)) = agreement("holdout_").or_else(|| agreement("")) {
+    let held_out = agreement("holdout_");
+    if let Some((agrees, wrong)) = held_out.or_else(|| agreement("")) {
         let percent = 100.0 * agrees;
+        let of = if held_out.is_some() { "that of held-out views" } else { "the recorded depth" };
         let judged = judge_depth_agreement(agrees, wrong);
-        lines.push(("depth", format!("{percent:.1} % of the recorded depth lies on the scene: {judged}")));
+        lines.push(("depth", format!("{percent:.1} % of {of} lies on the scene: {judged}")));
     }
     let is = |key: &str| m.get(key).and_then(serde_json::Value::as_bool);
     let is_stale = |stage: &str| m.get(&format!("stale.{stage}")).is_some();

@@ -10,8 +10,8 @@ use glamx::Mat3;
 use sms_core::Camera;
 use std::f32::consts::{LN_2, LOG2_E};
 
-/// Variance in pixels² added to both axes of a splat, so that none falls between pixels (the 2-D low-pass filter): somewhat less
-/// than that of a pixel's square, 1/12, which Mip-Splatting uses (Yu et al., CVPR 2024).
+/// Variance in pixels² added to both axes of a splat, so that none falls between pixels (the 2-D low-pass filter): less than
+/// that of a pixel's square, 1/12; Mip-Splatting uses 0.1 (Yu et al., CVPR 2024).
 ///
 /// The splat's opacity is lowered by √(det Σ / det(Σ + filter)), so that the filter spreads a splat without adding to
 /// it (Mip-Splatting). Otherwise small discs would bleed over silhouettes. With a filter of 0.3 px², on four noisy
@@ -19,8 +19,8 @@ use std::f32::consts::{LN_2, LOG2_E};
 /// 0.3 to 0.5 mm.
 ///
 /// A wider filter still moves silhouettes outwards, because many discs seen edge-on overlap there and their opacities do not
-/// simply add up. With 0.3 px² instead of 0.1, ten billiards scans have a depth error of 1.52 mm instead of 1.18 mm and 0.3 dB less.
-/// With 0.02, 0.05 and 0.1 px² (schedule `fused`, three scans) it is 1.06, 1.15 and 1.26 mm at 32.7, 32.8 and 32.9 dB.
+/// simply add up. With 0.3, 0.1 and 0.05 px², ten billiards scans have depth errors of 1.67, 1.27 and 1.13 mm at 29.7, 30.0 and
+/// 30.0 dB (experiments/studies/scan/fused.md); below that, colour loses.
 pub const LOW_PASS: f64 = 0.05;
 /// Constant added to det Σ, pixels⁴, so that it has a gradient for discs seen edge-on.
 pub const AREA_FLOOR: f64 = 1e-6;

@@ -112,6 +112,25 @@ fn without_cache(recording: &Path, truth: &TruthScene, work_dir: &Path) -> (Scen
     (scene, objective)
 }
 
+/// Checks that the comparison of the scene with the recorded depth keeps the other figures and the warnings of `evaluate`.
+fn compare_with_depth(folder: &Path) {
+    let context = Context { settings: short_settings(), ..Context::default() };
+    let run = Run::new(folder, &context);
+    let evaluated = run.evaluate(None).unwrap();
+    let kept = || (std::fs::read(folder.join("warnings.json")).unwrap(), run.metrics().unwrap());
+    let before = kept();
+    let compared = run.compare_depth().unwrap();
+    assert_eq!(compared, evaluated.agreement);
+    assert_eq!(kept(), before);
+    // Every fifth of ten frames is held out.
+    let held_out = compared.held_out.measured as f64 / compared.all.measured as f64;
+    assert!((0.1..0.35).contains(&held_out), "{compared:?}");
+    let number = |key: &str| before.1.number(key).unwrap();
+    assert!(number("evaluate.holdout_depth_agrees") > 0.8, "{compared:?}");
+    assert_eq!(number("evaluate.depth_pixels"), compared.all.measured as f64);
+    assert!(number("evaluate.floor.depth_agrees") > 0.8 && number("evaluate.objects") > 1.0);
+}
+
 #[test]
 fn the_cache_changes_no_result_and_spares_all_work() {
     let dir = tempfile::tempdir().unwrap();
@@ -131,6 +150,8 @@ fn the_cache_changes_no_result_and_spares_all_work() {
     let again = with_cache(&otherwise_spelled, &folder, events.clone());
     assert_eq!(*events.0.lock().unwrap(), expected(true));
     assert_eq!(again, (scene.clone(), objective));
+
+    compare_with_depth(&folder);
 
     let (bare, bare_objective) = without_cache(&recording, &truth, &dir.path().join("work"));
     let names = |scene: &Scene| scene.bodies.iter().map(|b| b.name.clone()).collect::<Vec<_>>();
