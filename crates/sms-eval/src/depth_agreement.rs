@@ -46,7 +46,7 @@ impl AddAssign for DepthAgreement {
 }
 
 /// The agreement of a scene with recorded depth.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct SceneAgreement {
     /// All measured pixels.
     pub all: DepthAgreement,
@@ -54,36 +54,35 @@ pub struct SceneAgreement {
     pub bodies: Vec<DepthAgreement>,
 }
 
+impl AddAssign<&Self> for SceneAgreement {
+    fn add_assign(&mut self, other: &Self) {
+        self.all += other.all;
+        self.bodies.resize(self.bodies.len().max(other.bodies.len()), DepthAgreement::default());
+        self.bodies.iter_mut().zip(&other.bodies).for_each(|(sum, body)| *sum += *body);
+    }
+}
+
 /// Casts a ray through every `step`-th pixel of depth images in both directions, and compares the first surface of the scene with
-/// the measured depth (metres; 0 without a measurement).
-pub fn depth_agreement(scene: &Scene, views: &[(Camera, &DepthImage)], step: usize) -> SceneAgreement {
+/// the measured depth (metres; 0 without a measurement). Returns the agreement of each view.
+pub fn depth_agreement(scene: &Scene, views: &[(Camera, &DepthImage)], step: usize) -> Vec<SceneAgreement> {
     let surfaces: Vec<Surface<'_>> = scene.bodies.iter().map(Surface::of).collect();
     let of_view = |(camera, depth): &(Camera, &DepthImage)| {
-        let mut bodies = vec![DepthAgreement::default(); surfaces.len()];
-        let mut all = DepthAgreement::default();
+        let bodies = vec![DepthAgreement::default(); surfaces.len()];
+        let mut sum = SceneAgreement { bodies, ..SceneAgreement::default() };
         for y in (0..depth.height).step_by(step.max(1)) {
             for x in (0..depth.width).step_by(step.max(1)) {
                 let z = f64::from(depth[(x, y)]);
                 if z > 0.0 && z.is_finite() {
                     let first = first_surface(&surfaces, camera, x, y);
                     let found = compared(z, first.map(|(_, depth)| depth));
-                    all += found;
-                    first.into_iter().for_each(|(body, _)| bodies[body] += found);
+                    sum.all += found;
+                    first.into_iter().for_each(|(body, _)| sum.bodies[body] += found);
                 }
             }
         }
-        (all, bodies)
+        sum
     };
-    let of_views: Vec<_> = views.par_iter().map(of_view).collect();
-    let mut sum = SceneAgreement {
-        all: DepthAgreement::default(),
-        bodies: vec![DepthAgreement::default(); surfaces.len()],
-    };
-    for (all, bodies) in of_views {
-        sum.all += all;
-        sum.bodies.iter_mut().zip(bodies).for_each(|(sum, body)| *sum += body);
-    }
-    sum
+    views.par_iter().map(of_view).collect()
 }
 
 /// Returns the comparison of one pixel; `first` is the depth of the first surface.
@@ -173,6 +172,13 @@ mod tests {
         depth
     }
 
+    /// The sum over all views.
+    fn agreement_of(scene: &Scene, views: &[(Camera, &DepthImage)], step: usize) -> SceneAgreement {
+        let mut sum = SceneAgreement::default();
+        depth_agreement(scene, views, step).iter().for_each(|of_view| sum += of_view);
+        sum
+    }
+
     #[test]
     fn surfaces_at_the_measured_depth_agree_and_others_are_false_or_holes() {
         let (scene, camera) = box_from_above();
@@ -180,7 +186,7 @@ mod tests {
         let top = depth.data.iter().filter(|z| **z == 0.8).count();
         assert!(top > 300);
         let pixels = depth.data.len();
-        let exact = depth_agreement(&scene, &[(camera, &depth)], 1);
+        let exact = agreement_of(&scene, &[(camera, &depth)], 1);
         // Rays beside the top may meet the sides of the box.
         let sides = exact.all.false_surface;
         assert!(sides < 40 && exact.all.hole == 0, "{exact:?}");
@@ -188,15 +194,15 @@ mod tests {
         assert_eq!(exact.bodies[1].agrees, top);
 
         // The camera measured a floor where the scene has a box.
-        let absent = depth_agreement(&scene, &[(camera, &depth_of(&camera, false))], 1);
+        let absent = agreement_of(&scene, &[(camera, &depth_of(&camera, false))], 1);
         assert_eq!((absent.all.false_surface, absent.bodies[1].false_surface), (top + sides, top + sides));
         assert_eq!(absent.all.agrees, absent.bodies[0].agrees);
 
         // The scene lacks the box, then everything.
         let floor = Scene { bodies: scene.bodies[..1].to_vec(), ..scene.clone() };
-        assert_eq!(depth_agreement(&floor, &[(camera, &depth)], 1).all.hole, top);
+        assert_eq!(agreement_of(&floor, &[(camera, &depth)], 1).all.hole, top);
         let empty = Scene { bodies: Vec::new(), ..scene };
-        let nothing = depth_agreement(&empty, &[(camera, &depth), (camera, &depth)], 1);
+        let nothing = agreement_of(&empty, &[(camera, &depth), (camera, &depth)], 1);
         assert_eq!((nothing.all.measured, nothing.all.hole), (2 * pixels, 2 * pixels));
     }
 
@@ -206,7 +212,7 @@ mod tests {
         let mut depth = Image::filled(60, 40, 0.0f32);
         depth[(0, 0)] = f32::NAN;
         depth[(2, 2)] = f32::INFINITY;
-        let found = depth_agreement(&scene, &[(camera, &depth)], 2);
+        let found = agreement_of(&scene, &[(camera, &depth)], 2);
         assert_eq!((found.all, found.all.shares()), (DepthAgreement::default(), None));
     }
 

@@ -24,23 +24,26 @@ pub(crate) fn grow(
     config: &SurfaceConfig,
     seed: Seed,
 ) {
-    let mut pixels = FramePoints::of(frame, config);
-    let seen: Vec<Option<Window>> =
+    let pixels = FramePoints::of(frame, config);
+    let windows: Vec<Option<Window>> =
         surfels.par_iter_mut().with_min_len(256).map(|surfel| pixels.see(surfel)).collect();
-    pixels.cover_all(surfels, &seen);
+    let mut covered = pixels.covered_by(surfels, &windows);
     let mut rng = seed.derive("order").rng();
     let is_open =
-        |i: &usize| !pixels.covered[*i] && pixels.points[*i].is_some_and(|p| p.cosine >= config.min_cosine);
+        |i: &usize| !covered[*i] && pixels.points[*i].is_some_and(|p| p.cosine >= config.min_cosine);
     let is_edge = |i: &usize| pixels.points[*i].is_some_and(|p| p.is_edge);
     let (mut edges, mut others): (Vec<usize>, Vec<usize>) =
         (0..pixels.points.len()).filter(is_open).partition(is_edge);
     shuffle(&mut edges, &mut rng);
     shuffle(&mut others, &mut rng);
     for i in edges.into_iter().chain(others) {
-        let Some(point) = pixels.points[i].filter(|_| !pixels.covered[i]) else { continue };
+        let Some(point) = pixels.points[i].filter(|_| !covered[i]) else { continue };
         let surfel = point.surfel(frame, config, SeedPixel { slot, pixel: i });
-        let window = pixels.window((i % pixels.width, i / pixels.width), point.z_m, &surfel);
-        pixels.cover(window, &surfel);
+        let (columns, rows) = pixels.window((i % pixels.width, i / pixels.width), point.z_m, &surfel);
+        for row in rows {
+            let of_row = &mut covered[row * pixels.width..][..pixels.width];
+            pixels.cover(row, columns.clone(), &surfel, of_row);
+        }
         surfels.push(surfel);
     }
 }
@@ -55,14 +58,13 @@ fn shuffle(values: &mut [usize], rng: &mut StageRng) {
 /// Columns and rows of the pixels that an element can cover.
 type Window = (Range<usize>, Range<usize>);
 
-/// The measured surface of a frame, and the part of it that elements cover.
+/// The measured surface of a frame.
 struct FramePoints<'a> {
     frame: &'a Frame,
     config: &'a SurfaceConfig,
     width: usize,
     height: usize,
     points: Vec<Option<MeasuredPoint>>,
-    covered: Vec<bool>,
 }
 
 impl<'a> FramePoints<'a> {
@@ -75,7 +77,6 @@ impl<'a> FramePoints<'a> {
             width,
             height,
             points: pixels.map(|i| measured_point(frame, i, config)).collect(),
-            covered: vec![false; width * height],
         }
     }
 
@@ -121,35 +122,26 @@ impl<'a> FramePoints<'a> {
         point.n_w.dot(surfel.n_w) > 0.0 && (point.p_w - surfel.p_w).dot(surfel.n_w).abs() <= gate_m
     }
 
-    /// Marks the points that an element covers.
-    fn cover(&mut self, (columns, rows): Window, surfel: &Surfel) {
-        for row in rows {
-            for pixel in row * self.width + columns.start..row * self.width + columns.end {
-                self.covered[pixel] = self.covered[pixel] || self.is_covered(pixel, surfel);
-            }
+    /// Marks the points of one row that an element covers.
+    fn cover(&self, row: usize, columns: Range<usize>, surfel: &Surfel, covered: &mut [bool]) {
+        for column in columns {
+            covered[column] = covered[column] || self.is_covered(row * self.width + column, surfel);
         }
     }
 
-    /// Marks the points that elements cover, each in its window, row by row of the image in parallel.
-    fn cover_all(&mut self, surfels: &[Surfel], windows: &[Option<Window>]) {
-        let mut surfels_of_rows: Vec<Vec<u32>> = vec![Vec::new(); self.height];
-        for (i, window) in windows.iter().enumerate() {
-            let rows = window.iter().flat_map(|(_, rows)| rows.clone());
-            rows.for_each(|row| surfels_of_rows[row].push(i as u32));
+    /// Returns which points the elements cover, each in its window; row by row of the image in parallel.
+    fn covered_by(&self, surfels: &[Surfel], windows: &[Option<Window>]) -> Vec<bool> {
+        let mut of_rows = vec![Vec::new(); self.height];
+        for (surfel, window) in surfels.iter().zip(windows) {
+            let Some((columns, rows)) = window else { continue };
+            rows.clone().for_each(|row| of_rows[row].push((columns, surfel)));
         }
-        let mut covered = std::mem::take(&mut self.covered);
-        covered.par_chunks_mut(self.width.max(1)).zip(&surfels_of_rows).enumerate().for_each(
-            |(row, (covered, of_row))| {
-                for &i in of_row {
-                    let Some((columns, _)) = &windows[i as usize] else { continue };
-                    for column in columns.clone() {
-                        covered[column] = covered[column]
-                            || self.is_covered(row * self.width + column, &surfels[i as usize]);
-                    }
-                }
-            },
-        );
-        self.covered = covered;
+        let mut covered = vec![false; self.points.len()];
+        let rows = covered.par_chunks_mut(self.width.max(1)).zip(&of_rows).enumerate();
+        rows.for_each(|(row, (covered, of_row))| {
+            of_row.iter().for_each(|(columns, surfel)| self.cover(row, (*columns).clone(), surfel, covered));
+        });
+        covered
     }
 
     /// Whether an element covers the measured point at a pixel.
@@ -227,7 +219,7 @@ mod tests {
             let (frame, config) = (oblique_plane(), SurfaceConfig { spacing_px, ..config() });
             let mut surfels = Vec::new();
             grow(&mut surfels, &frame, 0, &config, Seed(1));
-            let mut pixels = FramePoints::of(&frame, &config);
+            let pixels = FramePoints::of(&frame, &config);
             let windows: Vec<Option<Window>> = surfels.iter_mut().map(|s| pixels.see(s)).collect();
             let mut everywhere = vec![false; pixels.points.len()];
             for (surfel, window) in surfels.iter().zip(&windows) {
@@ -238,9 +230,8 @@ mod tests {
                     everywhere[i] = true;
                 }
             }
-            pixels.cover_all(&surfels, &windows);
             assert!(everywhere.iter().filter(|c| **c).count() > 2000);
-            assert_eq!(pixels.covered, everywhere);
+            assert_eq!(pixels.covered_by(&surfels, &windows), everywhere);
         }
     }
 

@@ -10,7 +10,7 @@ use crate::stages::{Comparison, MetricNames, add_drifts, evaluate, known_models,
 use sms_core::Warnings;
 use sms_core::metrics::Metrics;
 use sms_entities::load_entities;
-use sms_eval::{DepthAgreement, EvaluateSettings, depth_agreement};
+use sms_eval::{DepthAgreement, EvaluateSettings, SceneAgreement, depth_agreement};
 use sms_frames::Sequence;
 use sms_scene::{BodyKind, Scene, load_scene};
 use sms_sim::{RapierFactory, RestingDrift, resting_drift};
@@ -125,18 +125,14 @@ fn add_agreement(
     holdout: usize,
     metrics: &mut Metrics,
 ) -> RecordedAgreement {
-    let of_frames = |frames: &[usize]| {
-        let views: Vec<_> =
-            frames.iter().map(|&i| &sequence.frames[i]).map(|f| (f.camera, &f.depth)).collect();
-        depth_agreement(scene, &views, PIXEL_STEP)
-    };
-    let (used, held_out) = (of_frames(&sequence.trained(holdout)), of_frames(&sequence.held_out(holdout)));
-    let sum = |a: DepthAgreement, b: DepthAgreement| {
-        let mut sum = a;
-        sum += b;
-        sum
-    };
-    let all = sum(used.all, held_out.all);
+    let views: Vec<_> = sequence.frames.iter().map(|f| (f.camera, &f.depth)).collect();
+    let (mut found, mut held_out) = (SceneAgreement::default(), DepthAgreement::default());
+    for (i, of_view) in depth_agreement(scene, &views, PIXEL_STEP).iter().enumerate() {
+        found += of_view;
+        if Sequence::is_held_out(i, holdout) {
+            held_out += of_view.all;
+        }
+    }
     let mut add = |prefix: &str, of: &DepthAgreement| {
         if let Some([agrees, false_surface, hole]) = of.shares() {
             for (figure, share) in [("agrees", agrees), ("false_surface", false_surface), ("hole", hole)] {
@@ -144,13 +140,13 @@ fn add_agreement(
             }
         }
     };
-    add("", &all);
-    add("holdout_", &held_out.all);
-    for (i, body) in scene.bodies.iter().enumerate() {
-        add(&format!("{}.", body.name), &sum(used.bodies[i], held_out.bodies[i]));
+    add("", &found.all);
+    add("holdout_", &held_out);
+    for (body, of_body) in scene.bodies.iter().zip(&found.bodies) {
+        add(&format!("{}.", body.name), of_body);
     }
-    metrics.set("evaluate.depth_pixels", all.measured);
-    RecordedAgreement { all, held_out: held_out.all }
+    metrics.set("evaluate.depth_pixels", found.all.measured);
+    RecordedAgreement { all: found.all, held_out }
 }
 
 /// Adds metrics of the found objects and balls of the ground truth.
