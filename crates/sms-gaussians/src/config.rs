@@ -38,6 +38,9 @@ pub struct LearningRates {
     pub log_scale: f32,
     /// Quaternion components.
     pub rotation: f32,
+    /// Upper bound on the rate of quaternion components times the largest standard deviation, metres, so that the rim of a large disc
+    /// does not move more than that of a small one.
+    pub rim: f32,
     /// Logits of the opacities.
     pub opacity: f32,
     /// Colours.
@@ -58,6 +61,7 @@ impl LearningRates {
             position: self.position * share,
             log_scale: self.log_scale * share,
             rotation: self.rotation * share,
+            rim: self.rim * share,
             opacity: self.opacity * share,
             color: self.color * share,
             harmonics: self.harmonics * share,
@@ -73,6 +77,7 @@ impl Default for LearningRates {
             position: 1e-4,
             log_scale: 5e-3,
             rotation: 2e-3,
+            rim: 1.0,
             opacity: 0.05,
             color: 2.5e-3,
             harmonics: 0.0,

@@ -72,6 +72,7 @@ struct SideMeasurement {
 fn adjust(surfel: &mut Surfel, sum: SideMeasurement) {
     if sum.weight > 0.0 {
         surfel.p_w += surfel.n_w * (sum.offset / sum.weight);
+        surfel.sigma_m = sum.weight.sqrt().recip();
     }
     if sum.normal_w.length() > 0.0 {
         surfel.n_w = sum.normal_w.normalize();

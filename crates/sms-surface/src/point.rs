@@ -30,6 +30,7 @@ impl MeasuredPoint {
         Surfel {
             p_w: self.p_w,
             n_w: self.n_w,
+            sigma_m: 0.0,
             spacing_m: self.spacing_m,
             to_camera_w: (frame.camera.center_w() - self.p_w).normalize(),
             pitch_m: self.pitch_m(config),

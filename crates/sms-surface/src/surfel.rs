@@ -18,6 +18,9 @@ pub struct Surfel {
     pub p_w: DVec3,
     /// Unit normal towards the cameras.
     pub n_w: DVec3,
+    /// Standard deviation of the position along the normal, from the noise of its measurements, metres; 0 before [`crate::settle`],
+    /// and without measurements.
+    pub sigma_m: f64,
     /// Distance to its neighbours that the finest frame asked for, metres.
     pub spacing_m: f64,
     /// Direction to the camera of the frame that resolves it best, unit.

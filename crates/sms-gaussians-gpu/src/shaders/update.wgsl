@@ -122,7 +122,8 @@ fn descend(g: u32) -> vec2f {
     let r = u.rates;
     let c = u.more_rates;
     var p0 = adam(place, moments[first], moments[second], d_place, vec4f(r.xxx, r.w), correction);
-    var p1 = adam(rotation, moments[first + 1u], moments[second + 1u], d_rotation, vec4f(r.y), correction);
+    let turn = min(r.y, u.rim_rate.x / max(m.scale.x, max(m.scale.y, m.scale.z)));
+    var p1 = adam(rotation, moments[first + 1u], moments[second + 1u], d_rotation, vec4f(turn), correction);
     var p2 =
         adam(rows[row + 2u], moments[first + 2u], moments[second + 2u], d_size, vec4f(r.z), correction);
     var p3 = adam(rows[row + 3u], moments[first + 3u], moments[second + 3u], d_color, vec4f(c.x), correction);

@@ -56,7 +56,8 @@ fn corrections(steps: u32) -> (f32, f32) {
     (1.0 / (1.0 - BETA1.powi(t)), 1.0 / (1.0 - BETA2.powi(t)))
 }
 
-/// Takes one step with each visible row. A row with a gradient that is not finite remains unchanged.
+/// Takes one step with each visible row, at the rates of the row's entries and of the movement of its rim. A row with a gradient that is
+/// not finite remains unchanged.
 #[inline(always)]
 fn descend<L: Lanes>(
     rows: &mut [Row],
@@ -65,7 +66,7 @@ fn descend<L: Lanes>(
     steps: &mut [u32],
     gradients: &[Row],
     seen: &[bool],
-    rates: &Row,
+    (rates, rim): (&Row, f32),
 ) {
     // View-dependent colour that is not trained has no gradients.
     let chunks = if rates.0[HARMONICS] > 0.0 { ROW / WIDTH } else { HARMONICS.div_ceil(WIDTH) };
@@ -76,13 +77,17 @@ fn descend<L: Lanes>(
         let mut row = rows[i];
         steps[i] += 1;
         let correction = corrections(steps[i]);
+        let largest = row.0[LOG_SCALE..LOGIT_OPACITY].iter().fold(f32::MIN, |a, &b| a.max(b)).exp();
         let (values, _) = row.0.as_chunks_mut::<WIDTH>();
         let (m, _) = first[i].0.as_chunks_mut::<WIDTH>();
         let (v, _) = second[i].0.as_chunks_mut::<WIDTH>();
         let (g, _) = gradients[i].0.as_chunks::<WIDTH>();
         let (rate, _) = rates.0.as_chunks::<WIDTH>();
+        let mut first_rates = rate[0];
+        first_rates[ROTATION..LOG_SCALE].fill(rates.0[ROTATION].min(rim / largest));
         for k in 0..chunks {
-            update::<L>(&mut values[k], &mut m[k], &mut v[k], &g[k], &rate[k], correction);
+            let rate = if k == 0 { &first_rates } else { &rate[k] };
+            update::<L>(&mut values[k], &mut m[k], &mut v[k], &g[k], rate, correction);
         }
         if constrain(&mut row) {
             rows[i] = row;
@@ -111,7 +116,7 @@ by_simd! {
     /// One Adam step of a chunk of Gaussians.
     fn descend_rows = descend(
         rows: &mut [Row], first: &mut [Row], second: &mut [Row], steps: &mut [u32], gradients: &[Row],
-        seen: &[bool], rates: &Row,
+        seen: &[bool], rates: (&Row, f32),
     )
 }
 
@@ -130,5 +135,39 @@ pub(super) fn descend_classifier(state: &mut ClassifierState, gradient: &[f32], 
         state.second[i] = if v > SECOND_MIN { v } else { 0.0 };
         let step = rate * state.first[i] * correction1 / ((state.second[i] * correction2).sqrt() + EPSILON);
         state.values[i] -= step;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cpu::lanes::Simd;
+
+    #[test]
+    fn wide_discs_turn_less_so_that_their_rims_move_alike() {
+        let rates = LearningRates { rotation: 2e-3, rim: 1e-5, ..LearningRates::default() };
+        let turn_of = |scale: f32| {
+            let mut row = Row::ZERO;
+            row.0[ROTATION + 3] = 1.0;
+            row.0[LOG_SCALE..LOGIT_OPACITY].copy_from_slice(&[scale.ln(), (scale / 3.0).ln(), -9.0]);
+            let mut gradient = Row::ZERO;
+            gradient.0[ROTATION] = -0.7;
+            let mut rows = [row];
+            descend_rows(
+                Simd::detect(),
+                &mut rows,
+                &mut [Row::ZERO],
+                &mut [Row::ZERO],
+                &mut [0],
+                &[gradient],
+                &[true],
+                (&rates_of_row(&rates), rates.rim),
+            );
+            rows[0].0[ROTATION]
+        };
+        // The first step of Adam has the length of the rate.
+        for (scale, expected) in [(1e-3, 2e-3), (5e-3, 2e-3), (0.01, 1e-3), (0.1, 1e-4)] {
+            assert!((turn_of(scale) / expected - 1.0).abs() < 1e-3, "{scale}: {}", turn_of(scale));
+        }
     }
 }

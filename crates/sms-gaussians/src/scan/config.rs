@@ -56,6 +56,11 @@ pub struct SeedingConfig {
     pub spacing_px: f64,
     /// Distance on edges of colour or depth, as a share of `spacing_px`.
     pub edge_spacing: f64,
+    /// Greatest distance where the surface is flat and of one colour, as a multiple of the distances above (schedule `fused`); 1 to
+    /// keep all Gaussians.
+    pub coarsest: f32,
+    /// Difference of a colour channel (0..1) above which a surface is not of one colour.
+    pub color_step: f32,
     /// Change of brightness (0..1, Sobel, per pixel) above which a pixel counts as an edge.
     pub edge_threshold: f32,
     /// Later frames seed where the accumulated opacity is below this.
@@ -84,6 +89,8 @@ impl Default for SeedingConfig {
         Self {
             spacing_px: 2.5,
             edge_spacing: 0.5,
+            coarsest: 4.0,
+            color_step: 0.05,
             edge_threshold: 0.08,
             alpha_below: 0.6,
             min_tolerance_m: 0.005,
@@ -157,7 +164,7 @@ pub struct FusedConfig {
 
 impl Default for FusedConfig {
     fn default() -> Self {
-        let rates = LearningRates { log_scale: 2e-2, harmonics: 1e-2, ..training().rates };
+        let rates = LearningRates { rim: 6e-6, log_scale: 2e-2, harmonics: 1e-2, ..training().rates };
         Self { steps: 600, rates }
     }
 }

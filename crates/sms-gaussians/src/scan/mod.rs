@@ -3,6 +3,7 @@
 //!
 //! All code in this module uses the [`Trainer`](crate::Trainer) trait and is shared by all back ends.
 
+mod appearance;
 mod background;
 mod checkpoint;
 mod config;
@@ -24,6 +25,7 @@ mod seeding;
 mod settings;
 mod so_far;
 mod stages;
+mod thinning;
 mod unmeasured;
 mod validate;
 mod views;

@@ -91,7 +91,7 @@ pub(crate) fn seed_frame(
         let affinity = codes.draw(labels.data[i], &mut affinity_rng);
         let color = frame.color.data[i].map(|c| f32::from(c) / 255.0);
         let element = point.surfel(frame, &surface, SeedPixel::default());
-        seedlings.push(disc(&element, color, affinity, config));
+        seedlings.push(disc(&element, element.spacing_m, color, affinity, config));
     }
     seedlings
 }
@@ -119,9 +119,11 @@ fn candidates(
         .collect()
 }
 
-/// Returns the Gaussian of an element of the surface.
+/// Returns the Gaussian of an element of the surface whose neighbours lie at `spacing_m` metres. However wide it is, it is as thick as
+/// one at the element's own distance.
 pub(crate) fn disc(
     surfel: &Surfel,
+    spacing_m: f64,
     color: [f32; 3],
     affinity: [f32; AFFINITY_DIM],
     config: &ScanConfig,
@@ -130,12 +132,13 @@ pub(crate) fn disc(
     // First axis: the direction in which the surface recedes, along which pixels lie farther apart.
     let receding = surfel.to_camera_w - normal * normal.dot(surfel.to_camera_w);
     let first = if receding.length() > 1e-3 { receding.normalize() } else { normal.any_orthonormal_vector() };
-    let sigma = settings.sigma_of_spacing * surfel.spacing_m;
+    let sigma = settings.sigma_of_spacing * spacing_m;
+    let thickness = settings.thickness * settings.sigma_of_spacing * surfel.spacing_m;
     let stretched = settings.sigma_of_spacing * surfel.pitch_m;
     Seedling {
         position_w: surfel.p_w.as_vec3(),
         rotation_wg: DQuat::from_mat3(&DMat3::from_cols(first, normal.cross(first), normal)).as_quat(),
-        scale: DVec3::new(sigma.max(stretched), sigma, settings.thickness * sigma).as_vec3(),
+        scale: DVec3::new(sigma.max(stretched), sigma, thickness).as_vec3(),
         opacity: settings.opacity,
         color,
         harmonics: CONSTANT,

@@ -90,7 +90,13 @@ pub(crate) fn seed_unmeasured(
             ..Surfel::default()
         };
         let color = frame.color.data[i].map(|c| f32::from(c) / 255.0);
-        seedlings.push(disc(&element, color, codes.draw(labels.data[i], &mut affinity_rng), config));
+        seedlings.push(disc(
+            &element,
+            element.spacing_m,
+            color,
+            codes.draw(labels.data[i], &mut affinity_rng),
+            config,
+        ));
     }
     seedlings
 }

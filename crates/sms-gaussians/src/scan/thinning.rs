@@ -1,0 +1,309 @@
+//! Fewer elements where the surface is flat and of one colour.
+//!
+//! Fusion adds elements at the distance that the frames resolve, and closer ones on the edges of every frame, which move with the
+//! camera. A wide Gaussian draws a flat patch of one colour as well as many small ones. How far apart elements may lie follows from the
+//! distance to the nearest point with another height over their plane, another colour or label, or on the border of the surface; the
+//! surface is then sampled anew at these distances (Poisson disks of varying radius).
+
+use super::appearance::Appearance;
+use super::config::SeedingConfig;
+use super::seeding::shuffle;
+use glamx::Vec3;
+use rayon::prelude::*;
+use sms_core::Seed;
+use sms_surface::Surfel;
+
+/// Distance between elements as a share of that to the nearest difference, so that no disc reaches over it by more than one at its own
+/// distance: standard deviations are about a half of the distance.
+const GRADING: f32 = 0.5;
+/// Height over distance above which a point does not lie in the plane of an element, in addition to the noise of both.
+const SLOPE: f32 = 0.02;
+/// Sectors around an element.
+const SECTORS: usize = 12;
+/// An element lies on the border of the surface if this many neighbouring sectors (120°) are empty.
+const EMPTY: usize = 4;
+
+/// An element that remains.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct SparseElement {
+    /// Its position among all elements.
+    pub(super) index: usize,
+    /// Distance to its neighbours, metres.
+    pub(super) spacing_m: f64,
+}
+
+/// Returns the elements that remain, in order.
+pub(super) fn thin(
+    surfels: &[Surfel],
+    seen: &[Appearance],
+    config: &SeedingConfig,
+    seed: Seed,
+) -> Vec<SparseElement> {
+    let detail = SurfaceDetail::new(surfels, seen, config);
+    let borders = detail.map(|i| detail.is_border(i));
+    let spacings_m = detail.map(|i| detail.spacing_m(i, &borders));
+    // Elements at small distances come first, so that wide ones leave room for them.
+    let mut order: Vec<usize> = (0..surfels.len()).collect();
+    shuffle(&mut order, &mut seed.rng());
+    order.sort_by(|&i, &j| spacings_m[i].total_cmp(&spacings_m[j]));
+    let mut kept = vec![false; surfels.len()];
+    for i in order {
+        kept[i] = detail.all_near(i, spacings_m[i], |j, distance_m| {
+            !kept[j] || distance_m >= 0.5 * (spacings_m[i] + spacings_m[j])
+        });
+    }
+    let remaining = (0..surfels.len()).filter(|&i| kept[i]);
+    remaining.map(|index| SparseElement { index, spacing_m: f64::from(spacings_m[index]) }).collect()
+}
+
+/// An element with its appearance, in single precision.
+#[derive(Debug, Clone, Copy)]
+struct Element {
+    p_w: Vec3,
+    n_w: Vec3,
+    sigma_m: f32,
+    spacing_m: f32,
+    seen: Appearance,
+}
+
+/// The elements, for questions about their neighbours.
+struct SurfaceDetail<'a> {
+    config: &'a SeedingConfig,
+    elements: Vec<Element>,
+    /// Exponent of the cell size of the first grid; every following one has cells twice as large.
+    first: i32,
+    grids: Vec<SortedGrid>,
+}
+
+impl<'a> SurfaceDetail<'a> {
+    fn new(surfels: &[Surfel], seen: &[Appearance], config: &'a SeedingConfig) -> Self {
+        let element = |(surfel, seen): (&Surfel, &Appearance)| Element {
+            p_w: surfel.p_w.as_vec3(),
+            n_w: surfel.n_w.as_vec3(),
+            sigma_m: surfel.sigma_m as f32,
+            spacing_m: surfel.spacing_m as f32,
+            seen: *seen,
+        };
+        let elements: Vec<Element> = surfels.iter().zip(seen).map(element).collect();
+        let exponents = elements.iter().map(|e| exponent(config.coarsest / GRADING * e.spacing_m));
+        let range = exponents.fold(None, |range: Option<(i32, i32)>, e| {
+            Some(range.map_or((e, e), |(low, high)| (low.min(e), high.max(e))))
+        });
+        let (first, last) = range.unwrap_or((0, 0));
+        let grids = (first..=last).into_par_iter().map(|e| SortedGrid::new(&elements, e)).collect();
+        Self { config, elements, first, grids }
+    }
+
+    /// Returns `f` of every element.
+    fn map<T: Send>(&self, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+        (0..self.elements.len()).into_par_iter().with_min_len(256).map(f).collect()
+    }
+
+    /// Calls `f` with the elements on the same side of the surface nearer than `radius_m` to element `i`, and their distances, until it
+    /// returns false. Returns whether it never did.
+    fn all_near(&self, i: usize, radius_m: f32, mut f: impl FnMut(usize, f32) -> bool) -> bool {
+        let level = (exponent(radius_m) - self.first).clamp(0, self.grids.len() as i32 - 1);
+        let Element { p_w, n_w, .. } = self.elements[i];
+        self.grids[level as usize].all_near(p_w, radius_m, |j, distance_m| {
+            j == i || self.elements[j].n_w.dot(n_w) <= 0.0 || f(j, distance_m)
+        })
+    }
+
+    /// Returns the distance within which differences matter to an element, metres.
+    fn reach_m(&self, i: usize) -> f32 {
+        self.config.coarsest / GRADING * self.elements[i].spacing_m
+    }
+
+    /// Whether element `j`, at this distance from `i`, lies in the plane of `i`.
+    fn is_in_plane(&self, i: usize, j: usize, distance_m: f32) -> bool {
+        let (a, b) = (&self.elements[i], &self.elements[j]);
+        let noise_m = self.config.tolerance_sigmas as f32 * a.sigma_m.hypot(b.sigma_m);
+        (b.p_w - a.p_w).dot(a.n_w).abs() <= SLOPE * distance_m + noise_m
+    }
+
+    /// Whether an element lies on the border of the surface, or on an edge.
+    fn is_border(&self, i: usize) -> bool {
+        let a = &self.elements[i];
+        let (x, y) = a.n_w.any_orthonormal_pair();
+        let mut filled = [false; SECTORS];
+        self.all_near(i, self.reach_m(i), |j, distance_m| {
+            if distance_m > 0.0 && self.is_in_plane(i, j, distance_m) {
+                let off = self.elements[j].p_w - a.p_w;
+                let turns = off.dot(y).atan2(off.dot(x)) / std::f32::consts::TAU + 0.5;
+                filled[((turns * SECTORS as f32) as usize).min(SECTORS - 1)] = true;
+            }
+            true
+        });
+        (0..SECTORS).any(|first| (0..EMPTY).all(|k| !filled[(first + k) % SECTORS]))
+    }
+
+    /// Returns the distance to its neighbours that an element needs, metres: at least its own.
+    fn spacing_m(&self, i: usize, borders: &[bool]) -> f32 {
+        let a = &self.elements[i];
+        if borders[i] {
+            return a.spacing_m;
+        }
+        let mut nearest_m = self.reach_m(i);
+        self.all_near(i, nearest_m, |j, distance_m| {
+            let b = &self.elements[j].seen;
+            let differs = || {
+                let step = |c: usize| (a.seen.color[c] - b.color[c]).abs();
+                borders[j]
+                    || a.seen.label != b.label
+                    || (0..3).any(|c| step(c) > self.config.color_step)
+                    || !self.is_in_plane(i, j, distance_m)
+            };
+            if distance_m < nearest_m && differs() {
+                nearest_m = distance_m;
+            }
+            GRADING * nearest_m > a.spacing_m
+        });
+        a.spacing_m.max(GRADING * nearest_m)
+    }
+}
+
+/// Returns the exponent of the least power of two that is not smaller than a length.
+fn exponent(length_m: f32) -> i32 {
+    length_m.clamp(1e-6, 1e6).log2().ceil() as i32
+}
+
+/// Points sorted by their cells, so that those of neighbouring cells are found together.
+struct SortedGrid {
+    cell_m: f32,
+    points: Vec<([i32; 3], u32, Vec3)>,
+}
+
+impl SortedGrid {
+    /// Creates a grid with cells of 2 to the power of `exponent` metres.
+    fn new(elements: &[Element], exponent: i32) -> Self {
+        let cell_m = (exponent as f32).exp2();
+        let point = |(i, e): (usize, &Element)| (cell_of(e.p_w, cell_m), i as u32, e.p_w);
+        let mut points: Vec<_> = elements.par_iter().enumerate().map(point).collect();
+        points.par_sort_unstable_by_key(|(cell, i, _)| (*cell, *i));
+        Self { cell_m, points }
+    }
+
+    /// Calls `f` with the points nearer than `radius_m`, and their distances, until it returns false. Returns whether it never did.
+    fn all_near(&self, p_w: Vec3, radius_m: f32, mut f: impl FnMut(usize, f32) -> bool) -> bool {
+        let (low, high) = (cell_of(p_w - radius_m, self.cell_m), cell_of(p_w + radius_m, self.cell_m));
+        for (x, y) in (low[0]..=high[0]).flat_map(|x| (low[1]..=high[1]).map(move |y| (x, y))) {
+            let start = self.points.partition_point(|(cell, ..)| *cell < [x, y, low[2]]);
+            let column = self.points[start..].iter().take_while(|(cell, ..)| *cell <= [x, y, high[2]]);
+            for (_, i, q_w) in column {
+                let distance_m = q_w.distance(p_w);
+                if distance_m < radius_m && !f(*i as usize, distance_m) {
+                    return false;
+                }
+            }
+        }
+        true
+    }
+}
+
+/// Returns the cell of a point.
+fn cell_of(p_w: Vec3, cell_m: f32) -> [i32; 3] {
+    (p_w / cell_m).to_array().map(|v| v.floor() as i32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::DVec3;
+    use rand::RngExt;
+
+    const SPACING_M: f64 = 0.005;
+    /// Mean distance between elements, which are never nearer than `SPACING_M`.
+    const PITCH_M: f64 = 1.25 * SPACING_M;
+    const SIDE: usize = 80;
+
+    /// A square of elements at z = 0 with their colours by `color`, and heights by `height_m`, of x and y.
+    fn square(
+        color: impl Fn(f64, f64) -> f32,
+        height_m: impl Fn(f64, f64) -> f64,
+    ) -> (Vec<Surfel>, Vec<Appearance>) {
+        let mut rng = Seed(3).rng();
+        let mut at = |k: usize| PITCH_M * k as f64 + SPACING_M * rng.random_range(-0.1..0.1);
+        let places: Vec<(f64, f64)> = (0..SIDE * SIDE).map(|i| (at(i % SIDE), at(i / SIDE))).collect();
+        let surfel = |&(x, y): &(f64, f64)| Surfel {
+            p_w: DVec3::new(x, y, height_m(x, y)),
+            n_w: DVec3::Z,
+            spacing_m: SPACING_M,
+            ..Surfel::default()
+        };
+        let seen = |&(x, y): &(f64, f64)| Appearance { color: [color(x, y); 3], label: 0 };
+        (places.iter().map(surfel).collect(), places.iter().map(seen).collect())
+    }
+
+    fn thinned(surfels: &[Surfel], seen: &[Appearance]) -> Vec<SparseElement> {
+        thin(surfels, seen, &SeedingConfig::default(), Seed(1))
+    }
+
+    /// Distance from the border of the square, metres.
+    fn inside_m(surfel: &Surfel) -> f64 {
+        let side = PITCH_M * (SIDE - 1) as f64;
+        let p = surfel.p_w;
+        p.x.min(p.y).min(side - p.x).min(side - p.y)
+    }
+
+    #[test]
+    fn a_flat_square_of_one_colour_is_thinned_inside_and_covered_everywhere() {
+        let (surfels, seen) = square(|_, _| 0.5, |_, _| 0.0);
+        let sparse = thinned(&surfels, &seen);
+        assert!(sparse.len() < surfels.len() / 4, "{}", sparse.len());
+        let widest = 4.0 * SPACING_M;
+        for s in &sparse {
+            let inside = inside_m(&surfels[s.index]);
+            assert!(s.spacing_m <= widest * 1.001 && s.spacing_m <= SPACING_M.max(0.5 * inside + SPACING_M));
+            if inside > 0.06 {
+                assert!((s.spacing_m / widest - 1.0).abs() < 1e-3, "{inside} {s:?}");
+            }
+        }
+        for surfel in &surfels {
+            let nearest = sparse.iter().map(|s| {
+                let kept = &surfels[s.index];
+                (kept.p_w - surfel.p_w).length() / s.spacing_m.max(SPACING_M)
+            });
+            assert!(nearest.fold(f64::MAX, f64::min) < 1.6);
+        }
+    }
+
+    #[test]
+    fn steps_of_colour_or_height_keep_their_elements_unless_they_are_faint() {
+        let near = |surfel: &Surfel| (surfel.p_w.x - 0.2).abs() < 0.004;
+        let step = |x: f64, high: f64| if x > 0.2 { high } else { 0.0 };
+        for (surfels, seen) in
+            [square(|x, _| step(x, 0.2) as f32, |_, _| 0.0), square(|_, _| 0.5, |x, _| step(x, 0.003))]
+        {
+            let sparse = thinned(&surfels, &seen);
+            let at_step = sparse.iter().filter(|s| near(&surfels[s.index]));
+            assert!(at_step.clone().all(|s| s.spacing_m < 1.01 * SPACING_M));
+            let all = surfels.iter().filter(|s| near(s)).count();
+            assert!(at_step.count() > all / 2, "of {all}");
+        }
+        let (surfels, seen) = square(|x, _| step(x, 0.04) as f32, |_, _| 0.0);
+        let (plain, gray) = square(|_, _| 0.5, |_, _| 0.0);
+        assert_eq!(thinned(&surfels, &seen), thinned(&plain, &gray));
+        let fine = SeedingConfig { coarsest: 1.0, ..SeedingConfig::default() };
+        assert!(thin(&plain, &gray, &fine, Seed(1)).len() > plain.len() / 2);
+        assert!(thin(&[], &[], &fine, Seed(1)).is_empty());
+    }
+
+    #[test]
+    fn the_noise_of_measurements_is_no_step_and_the_faces_of_a_wall_are_thinned_apart() {
+        let mut rng = Seed(4).rng();
+        let noise_m: Vec<f64> = (0..SIDE * SIDE).map(|_| rng.random_range(-0.001..0.001)).collect();
+        let (mut surfels, seen) = square(|_, _| 0.5, |_, _| 0.0);
+        surfels.iter_mut().zip(&noise_m).for_each(|(s, noise_m)| s.p_w.z += noise_m);
+        let rough = thinned(&surfels, &seen).len();
+        surfels.iter_mut().for_each(|s| s.sigma_m = 0.0006);
+        let noisy = thinned(&surfels, &seen).len();
+        assert!(2 * noisy < rough, "{noisy} {rough}");
+
+        let (front, seen) = square(|_, _| 0.5, |_, _| 0.0);
+        let alone = thinned(&front, &seen).len();
+        let turned = |s: &Surfel| Surfel { p_w: s.p_w - DVec3::Z * 0.002, n_w: -s.n_w, ..*s };
+        let wall: Vec<Surfel> = front.iter().copied().chain(front.iter().map(turned)).collect();
+        let both = thinned(&wall, &[seen.clone(), seen].concat());
+        assert!(both.len().abs_diff(2 * alone) < alone / 5, "{} {alone}", both.len());
+    }
+}
