@@ -4,6 +4,7 @@
 //! assumptions; each function states its sources.
 
 use crate::length_text;
+use crate::metrics::Metrics;
 
 /// A grade, best first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -152,6 +153,33 @@ pub fn judge_depth_agreement(agrees: f64, false_surface: f64) -> Judgement {
     Judgement { grade: obstructed.max(unexplained), reason: reason.into() }
 }
 
+/// Agreement of a scene with the recorded depth of a run: that of its held-out frames if there are any.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DepthAgreement {
+    /// Share of the measured pixels on a surface of the scene.
+    pub agrees: f64,
+    /// Share of the measured pixels behind a false surface.
+    pub false_surface: f64,
+    /// Whether it is that of held-out frames.
+    pub held_out: bool,
+}
+
+impl DepthAgreement {
+    /// Reads `evaluate.*`; `None` where no comparison was made.
+    pub fn of_run(metrics: &Metrics) -> Option<Self> {
+        let of = |frames: &str, held_out: bool| {
+            let share = |figure: &str| metrics.number(&format!("evaluate.{frames}depth_{figure}"));
+            Some(Self { agrees: share("agrees")?, false_surface: share("false_surface")?, held_out })
+        };
+        of("holdout_", true).or_else(|| of("", false))
+    }
+
+    /// Judges it.
+    pub fn judge(&self) -> Judgement {
+        judge_depth_agreement(self.agrees, self.false_surface)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -172,5 +200,18 @@ mod tests {
             assert_eq!(judge(f64::NAN).grade, Poor);
         }
         assert!(judge_psnr(20.0).to_string().starts_with("fair (colour error 10.0 %"));
+    }
+
+    #[test]
+    fn held_out_frames_count_where_there_are_any() {
+        let mut metrics = Metrics::new();
+        assert_eq!(DepthAgreement::of_run(&metrics), None);
+        metrics.set("evaluate.depth_agrees", 0.9).set("evaluate.depth_false_surface", 0.02);
+        let all = DepthAgreement { agrees: 0.9, false_surface: 0.02, held_out: false };
+        assert_eq!(DepthAgreement::of_run(&metrics), Some(all));
+        metrics.set("evaluate.holdout_depth_agrees", 0.8).set("evaluate.holdout_depth_false_surface", 0.1);
+        let held_out = DepthAgreement { agrees: 0.8, false_surface: 0.1, held_out: true };
+        assert_eq!(DepthAgreement::of_run(&metrics), Some(held_out));
+        assert_eq!(held_out.judge(), judge_depth_agreement(0.8, 0.1));
     }
 }

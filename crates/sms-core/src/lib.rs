@@ -72,8 +72,8 @@ pub use inertia::{
     sphere_mass_properties,
 };
 pub use judgement::{
-    Grade, Judgement, is_at_rest, judge_depth_agreement, judge_depth_error, judge_psnr, judge_success,
-    judge_surface_error,
+    DepthAgreement, Grade, Judgement, is_at_rest, judge_depth_agreement, judge_depth_error, judge_psnr,
+    judge_success, judge_surface_error,
 };
 pub use labels::{BACKGROUND, LabelInfo, LabelMap, Labels, MaskSource};
 pub use material::{Interval, Material, Property, PropertySource};

@@ -3,8 +3,8 @@
 use crate::input::ReportInput;
 use crate::landing::{predicted_card, verdict};
 use sms_core::{
-    NORMAL_90, counted, escape_xml, is_at_rest, judge_depth_agreement, judge_depth_error, judge_psnr,
-    judge_success, length_text, lengths_text,
+    DepthAgreement, NORMAL_90, counted, escape_xml, is_at_rest, judge_depth_error, judge_psnr, judge_success,
+    length_text, lengths_text,
 };
 use sms_scene::{BodyKind, BodyShape};
 use std::fmt::Write;
@@ -163,17 +163,14 @@ fn scan_cards(html: &mut String, input: &ReportInput<'_>) {
         let note = format!("{note}: {}", judge_depth_error(mae));
         card(html, "Depth error", &length_text(mae), &note, "");
     }
-    let agreement = |of: &str| {
-        Some((m(&format!("evaluate.{of}depth_agrees"))?, m(&format!("evaluate.{of}depth_false_surface"))?))
-    };
-    if let Some((agrees, wrong)) = agreement("holdout_").or_else(|| agreement("")) {
-        let views = if agreement("holdout_").is_some() { "held-out views" } else { "all views" };
+    if let Some(agreement) = DepthAgreement::of_run(&input.metrics) {
+        let views = if agreement.held_out { "held-out views" } else { "all views" };
         let note = format!(
             "of the recorded depth lies on the scene ({views}), {:.1} % behind a false surface: {}",
-            100.0 * wrong,
-            judge_depth_agreement(agrees, wrong)
+            100.0 * agreement.false_surface,
+            agreement.judge()
         );
-        card(html, "Scene against depth", &format!("{:.1} %", 100.0 * agrees), &note, "");
+        card(html, "Scene against depth", &format!("{:.1} %", 100.0 * agreement.agrees), &note, "");
     }
     if let Some(n) = m("scan.gaussians") {
         let note = m("scan.steps").map(|s| format!("{s:.0} training steps")).unwrap_or_default();

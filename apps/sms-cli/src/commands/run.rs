@@ -4,7 +4,7 @@ use super::{evaluate, execute, materialize, plan, report, scan, simulate};
 use crate::cli::{self, RunArguments};
 use sms_cli::front::{Console, note};
 use sms_core::metrics::Metrics;
-use sms_core::{InputError, counted, duration_text, judge_depth_agreement, length_text};
+use sms_core::{DepthAgreement, InputError, counted, duration_text, length_text};
 use sms_pipeline::{PlanRequest, Run, StageCondition};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -117,15 +117,9 @@ fn summary(m: &Metrics) -> Vec<(&'static str, String)> {
         scene += &format!("; at rest for {seconds} s, they move at most {drift}");
     }
     lines.push(("scene", scene));
-    let agreement = |of: &str| {
-        let number = |figure: &str| m.number(&format!("evaluate.{of}depth_{figure}"));
-        Some((number("agrees")?, number("false_surface")?))
-    };
-    let held_out = agreement("holdout_");
-    if let Some((agrees, wrong)) = held_out.or_else(|| agreement("")) {
-        let percent = 100.0 * agrees;
-        let of = if held_out.is_some() { "that of held-out views" } else { "the recorded depth" };
-        let judged = judge_depth_agreement(agrees, wrong);
+    if let Some(agreement) = DepthAgreement::of_run(m) {
+        let (percent, judged) = (100.0 * agreement.agrees, agreement.judge());
+        let of = if agreement.held_out { "that of held-out views" } else { "the recorded depth" };
         lines.push(("depth", format!("{percent:.1} % of {of} lies on the scene: {judged}")));
     }
     let is = |key: &str| m.get(key).and_then(serde_json::Value::as_bool);

@@ -155,8 +155,8 @@ fn settings_that_cannot_be_leave_a_run_as_it_was() {
     let scan = |more: &[&str]| quick_scan(recording(), &run, more);
     let first = scan(&[]);
     assert!(first.status.success(), "{}", String::from_utf8_lossy(&first.stderr));
-    let settings = fs::read_to_string(run.join("run.toml")).unwrap();
-    assert!(settings.contains("steps = 20"), "{settings}");
+    let settings: toml::Table = toml::from_str(&fs::read_to_string(run.join("run.toml")).unwrap()).unwrap();
+    assert_eq!(settings["scan"]["fused"]["steps"].as_integer(), Some(20), "{settings}");
     let before = contents(&run);
     for (given, words) in [
         ("scan.final_stps=500", &["`final_steps`", "--set scan.final_stps=500"][..]),
