@@ -272,4 +272,6 @@ fn read_pixel(image: &TileImage, (x, y): (usize, usize), i: usize, maps: &mut Re
 #[cfg(test)]
 mod poisoned_tests;
 #[cfg(test)]
+mod stepping_tests;
+#[cfg(test)]
 mod tests;
