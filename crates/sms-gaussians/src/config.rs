@@ -39,7 +39,7 @@ pub struct LearningRates {
     /// Quaternion components.
     pub rotation: f32,
     /// Upper bound on the rate of quaternion components times the largest standard deviation, metres, so that the rim of a large disc
-    /// does not move more than that of a small one.
+    /// does not move more than that of a small one. The default of 1 limits nothing.
     pub rim: f32,
     /// Logits of the opacities.
     pub opacity: f32,

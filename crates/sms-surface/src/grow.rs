@@ -3,9 +3,9 @@
 use crate::config::SurfaceConfig;
 use crate::point::{MeasuredPoint, measured_point};
 use crate::surfel::{SeedPixel, Surfel};
-use rand::RngExt;
+use rand::seq::SliceRandom;
 use rayon::prelude::*;
-use sms_core::{Seed, StageRng};
+use sms_core::Seed;
 use sms_frames::Frame;
 use std::ops::Range;
 
@@ -34,8 +34,8 @@ pub(crate) fn grow(
     let is_edge = |i: &usize| pixels.points[*i].is_some_and(|p| p.is_edge);
     let (mut edges, mut others): (Vec<usize>, Vec<usize>) =
         (0..pixels.points.len()).filter(is_open).partition(is_edge);
-    shuffle(&mut edges, &mut rng);
-    shuffle(&mut others, &mut rng);
+    edges.shuffle(&mut rng);
+    others.shuffle(&mut rng);
     for i in edges.into_iter().chain(others) {
         let Some(point) = pixels.points[i].filter(|_| !covered[i]) else { continue };
         let surfel = point.surfel(frame, config, SeedPixel { slot, pixel: i });
@@ -45,13 +45,6 @@ pub(crate) fn grow(
             pixels.cover(row, columns.clone(), &surfel, of_row);
         }
         surfels.push(surfel);
-    }
-}
-
-/// Shuffles values (Fisher and Yates).
-fn shuffle(values: &mut [usize], rng: &mut StageRng) {
-    for i in (1..values.len()).rev() {
-        values.swap(i, rng.random_range(0..=i));
     }
 }
 

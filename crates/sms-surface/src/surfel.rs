@@ -18,8 +18,8 @@ pub struct Surfel {
     pub p_w: DVec3,
     /// Unit normal towards the cameras.
     pub n_w: DVec3,
-    /// Standard deviation of the position along the normal, from the noise of its measurements, metres; 0 before [`crate::settle`],
-    /// and without measurements.
+    /// Upper bound on the standard deviation of the position along the normal, from the noise of the measurements of
+    /// [`crate::settle`], metres: the four pixels of a frame count as one. 0 until there are any.
     pub sigma_m: f64,
     /// Distance to its neighbours that the finest frame asked for, metres.
     pub spacing_m: f64,

@@ -56,8 +56,8 @@ fn corrections(steps: u32) -> (f32, f32) {
     (1.0 / (1.0 - BETA1.powi(t)), 1.0 / (1.0 - BETA2.powi(t)))
 }
 
-/// Takes one step with each visible row, at the rates of the row's entries and of the movement of its rim. A row with a gradient that is
-/// not finite remains unchanged.
+/// Takes one step with each visible row. `rates` are those of the row's entries; those of rotations are at most `rim` over the largest
+/// scale. A row with a gradient that is not finite remains unchanged.
 #[inline(always)]
 fn descend<L: Lanes>(
     rows: &mut [Row],

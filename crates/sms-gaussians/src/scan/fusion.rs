@@ -25,7 +25,7 @@ pub(crate) fn fuse(parameters: &mut Parameters, frames: &[&Frame], config: &Scan
         let turn = DQuat::from_rotation_arc(before.n_w, along_w);
         let rotation_wg = (turn * Quat::from_slice(&row.0[ROTATION..]).as_dquat()).normalize().as_quat();
         row.0[POSITION..POSITION + 3].copy_from_slice(&after.p_w.as_vec3().to_array());
-        if after != before {
+        if after.n_w != before.n_w {
             row.0[ROTATION..ROTATION + 4].copy_from_slice(&rotation_wg.to_array());
         }
     }

@@ -19,7 +19,7 @@ use super::pace::Pace;
 use super::placement::place;
 use super::pruning::{prune_all, prune_transparent};
 use super::saving::Saver;
-use super::seeding::{AffinityCodes, seed_frame, shuffle};
+use super::seeding::{AffinityCodes, seed_frame};
 use super::settings::{SettingsHash, settings_hash};
 use super::so_far::SoFar;
 use super::stages::StageSeconds;
@@ -27,6 +27,7 @@ use super::unmeasured::seed_unmeasured;
 use crate::{FrameId, GaussianModel, StepBatch, StepStats, Trainer, TrainerError};
 use glamx::Vec3;
 use rand::RngExt;
+use rand::seq::SliceRandom;
 use sms_core::metrics::Metrics;
 use sms_core::{Cancel, CoreError, LabelMap, Labels, Progress, Seed, StageContext, Warnings};
 use sms_frames::{Frame, Sequence};
@@ -348,7 +349,7 @@ impl<'a> Schedule<'a> {
         self.stages.add("fusion", began);
         let began = Instant::now();
         let seed = self.seed.derive("placement");
-        let seedlings = place(&surfels, &labelled, &self.codes, self.config, seed);
+        let seedlings = place(&surfels, &labelled, &self.codes, self.config, seed, self.cancel)?;
         self.trainer.insert(&seedlings);
         if self.config.seeding.unmeasured {
             self.place.measured = Some(seedlings.len());
@@ -496,7 +497,7 @@ impl<'a> Schedule<'a> {
             let n = self.ids.len();
             let frame_at = |k: usize| {
                 let mut order = self.ids.clone();
-                shuffle(&mut order, &mut self.seed.derive_index("epoch", (k / n) as u64).rng());
+                order.shuffle(&mut self.seed.derive_index("epoch", (k / n) as u64).rng());
                 order[k % n]
             };
             return ((step..step + batch).map(frame_at).collect(), Vec::new());

@@ -12,9 +12,9 @@ use super::occupancy::HashGrid;
 use crate::harmonics::CONSTANT;
 use crate::{AFFINITY_DIM, RenderedMaps, Seedling};
 use glamx::{DMat3, DQuat, DVec3, Vec3};
-use rand::RngExt;
+use rand::seq::SliceRandom;
 use rayon::prelude::*;
-use sms_core::{LabelMap, Seed, StageRng};
+use sms_core::{LabelMap, Seed, StageRng, standard_normal};
 use sms_frames::Frame;
 use sms_surface::{MeasuredPoint, SeedPixel, SurfaceConfig, Surfel, measured_point};
 
@@ -31,7 +31,7 @@ impl AffinityCodes {
     pub(crate) fn new(classes: usize, seed: Seed) -> Self {
         let code = |label| {
             let mut rng = seed.derive_index("affinity code", label as u64).rng();
-            std::array::from_fn(|_| CODE_SIGMA * normal_draw(&mut rng))
+            std::array::from_fn(|_| CODE_SIGMA * standard_normal(&mut rng) as f32)
         };
         Self((0..classes).map(code).collect())
     }
@@ -44,7 +44,7 @@ impl AffinityCodes {
     /// Returns an affinity of a label.
     pub(crate) fn draw(&self, label: u16, rng: &mut StageRng) -> [f32; AFFINITY_DIM] {
         let code = self.0.get(usize::from(label)).copied().unwrap_or_default();
-        code.map(|c| c + AFFINITY_SIGMA * normal_draw(rng))
+        code.map(|c| c + AFFINITY_SIGMA * standard_normal(rng) as f32)
     }
 }
 
@@ -67,8 +67,8 @@ pub(crate) fn seed_frame(
     let order = || {
         let (mut edges, mut others): (Vec<_>, Vec<_>) =
             candidates.into_par_iter().partition(|(_, point)| point.is_edge);
-        shuffle(&mut edges, &mut rng);
-        shuffle(&mut others, &mut rng);
+        edges.shuffle(&mut rng);
+        others.shuffle(&mut rng);
         edges.append(&mut others);
         edges
     };
@@ -143,19 +143,6 @@ pub(crate) fn disc(
         color,
         harmonics: CONSTANT,
         affinity,
-    }
-}
-
-/// A draw from the standard normal distribution (Box and Muller 1958).
-fn normal_draw(rng: &mut StageRng) -> f32 {
-    let (u, v): (f32, f32) = (rng.random(), rng.random());
-    (-2.0 * (1.0 - u).ln()).sqrt() * (std::f32::consts::TAU * v).cos()
-}
-
-/// Fisher-Yates.
-pub(crate) fn shuffle<T>(values: &mut [T], rng: &mut StageRng) {
-    for i in (1..values.len()).rev() {
-        values.swap(i, rng.random_range(0..=i));
     }
 }
 

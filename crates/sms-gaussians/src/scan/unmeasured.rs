@@ -6,9 +6,10 @@
 //! sees through it.
 
 use super::config::ScanConfig;
-use super::seeding::{AffinityCodes, disc, shuffle};
+use super::seeding::{AffinityCodes, disc};
 use crate::{RenderedMaps, Seedling};
 use glamx::DVec3;
+use rand::seq::SliceRandom;
 use rayon::prelude::*;
 use sms_core::{DepthImage, Image, LabelMap, Seed};
 use sms_frames::Frame;
@@ -43,7 +44,7 @@ pub(crate) fn seed_unmeasured(
         .filter(|&i| frame.depth.data[i] <= 0.0 && rendered.alpha[i] < settings.alpha_below)
         .filter(|&i| differs(rendered.color[i], frame.color.data[i]))
         .collect();
-    shuffle(&mut order, &mut rng);
+    order.shuffle(&mut rng);
     let spacing_px = COARSER * settings.spacing_px;
     let mut taken = Image::filled(width, height, false);
     let reach = spacing_px.ceil() as i64;

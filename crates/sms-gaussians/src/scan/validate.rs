@@ -36,7 +36,7 @@ impl ScanConfig {
             ("current_share", self.current_share, 0.0, 1.0),
             ("seeding.spacing_px", seeding.spacing_px, 0.5, 1000.0),
             ("seeding.edge_spacing", seeding.edge_spacing, 0.05, 10.0),
-            ("seeding.coarsest", f64::from(seeding.coarsest), 1.0, 100.0),
+            ("seeding.coarsest", f64::from(seeding.coarsest), 1.0, 16.0),
             ("seeding.color_step", f64::from(seeding.color_step), 0.0, 1.0),
             ("seeding.min_tolerance_m", seeding.min_tolerance_m, 0.0, 1.0),
             ("seeding.tolerance_sigmas", seeding.tolerance_sigmas, 0.0, 1000.0),
