@@ -32,23 +32,13 @@ pub(super) fn appearances(
     classes: usize,
     config: &ScanConfig,
 ) -> Vec<Appearance> {
-    let positions_w: Vec<_> = surfels.iter().map(|s| s.p_w.as_vec3()).collect();
-    map_nearby(&positions_w, |group| {
-        let mut sums = vec![AppearanceSum::new(classes); group.len()];
-        for (frame, labels) in frames {
-            for (&i, sum) in group.iter().zip(&mut sums) {
-                if let Some(seen) = Sight::of(&surfels[i as usize], frame, config) {
-                    sum.add(seen.weight, color_at(frame, seen.at), labels[seen.pixel]);
-                }
-            }
-        }
-        let own = |i: u32| {
-            let seed = surfels[i as usize].seed;
-            let (frame, labels) = frames[seed.slot];
-            (frame.color.data[seed.pixel], labels.data[seed.pixel])
-        };
-        group.iter().zip(sums).map(|(&i, sum)| sum.mean(own(i))).collect()
-    })
+    let add = |sum: &mut AppearanceSum, _, sight: &Sight| sum.add(sight);
+    let mean = |i: usize, sum: AppearanceSum| {
+        let seed = surfels[i].seed;
+        let (frame, labels) = frames[seed.slot];
+        sum.mean((frame.color.data[seed.pixel], labels.data[seed.pixel]))
+    };
+    summed(surfels, frames, config, &AppearanceSum::new(classes), add, mean)
 }
 
 /// Fits the colour of every element and its dependence on the direction to all frames (ridge regression). `seen` are their mean colours,
@@ -59,20 +49,35 @@ pub(super) fn directed_colors(
     frames: &[(&Frame, &LabelMap)],
     config: &ScanConfig,
 ) -> Vec<DirectedColor> {
+    let add = |fit: &mut ColorFit, i: usize, sight: &Sight| {
+        let mean = seen[i].color;
+        let difference = std::array::from_fn(|c| sight.color[c] - f64::from(mean[c]));
+        fit.add(sight.weight, difference, &basis(sight.direction_w));
+    };
+    let solve = |i: usize, fit: ColorFit| fit.solve(seen[i].color);
+    summed(surfels, frames, config, &ColorFit::default(), add, solve)
+}
+
+/// Adds all measurements of every element to a copy of `empty`, and returns the sums after `finish`; both take the element's position.
+fn summed<S: Clone + Sync, T: Send + Clone + Default>(
+    surfels: &[Surfel],
+    frames: &[(&Frame, &LabelMap)],
+    config: &ScanConfig,
+    empty: &S,
+    add: impl Fn(&mut S, usize, &Sight) + Sync,
+    finish: impl Fn(usize, S) -> T + Sync,
+) -> Vec<T> {
     let positions_w: Vec<_> = surfels.iter().map(|s| s.p_w.as_vec3()).collect();
     map_nearby(&positions_w, |group| {
-        let mut fits = vec![ColorFit::default(); group.len()];
-        for (frame, _) in frames {
-            for (&i, fit) in group.iter().zip(&mut fits) {
-                let (surfel, mean) = (&surfels[i as usize], seen[i as usize].color);
-                let Some(seen) = Sight::of(surfel, frame, config) else { continue };
-                let color = color_at(frame, seen.at);
-                let difference = std::array::from_fn(|c| color[c] - f64::from(mean[c]));
-                let direction_w = (surfel.p_w - frame.camera.center_w()).as_vec3().to_array();
-                fit.add(seen.weight, difference, &basis(direction_w));
+        let mut sums = vec![empty.clone(); group.len()];
+        for (frame, labels) in frames {
+            for (&i, sum) in group.iter().zip(&mut sums) {
+                if let Some(sight) = Sight::of(&surfels[i as usize], frame, labels, config) {
+                    add(sum, i as usize, &sight);
+                }
             }
         }
-        group.iter().zip(fits).map(|(&i, fit)| fit.solve(seen[i as usize].color)).collect()
+        group.iter().zip(sums).map(|(&i, sum)| finish(i as usize, sum)).collect()
     })
 }
 
@@ -80,22 +85,30 @@ pub(super) fn directed_colors(
 struct Sight {
     /// Cosine of the viewing angle over the square of the depth.
     weight: f64,
-    /// Image coordinates, pixels.
-    at: (f64, f64),
-    pixel: (usize, usize),
+    /// Colour, 0 to 1.
+    color: [f64; 3],
+    label: u16,
+    /// Vector from the camera to the element, metres.
+    direction_w: [f32; 3],
 }
 
 impl Sight {
     /// `None` where the frame does not measure the element, or too obliquely.
-    fn of(surfel: &Surfel, frame: &Frame, config: &ScanConfig) -> Option<Self> {
+    fn of(surfel: &Surfel, frame: &Frame, labels: &LabelMap, config: &ScanConfig) -> Option<Self> {
         let (u, v, z) = frame.camera.project(surfel.p_w)?;
         let pixel = frame.camera.pixel_at(u, v)?;
         let depth = f64::from(frame.depth[pixel]);
         if !(depth > 0.0 && (depth - z).abs() <= config.tolerance_m(&frame.depth_noise, z)) {
             return None;
         }
-        let facing = surfel.n_w.dot((frame.camera.center_w() - surfel.p_w).normalize());
-        (facing >= config.seeding.min_cosine).then_some(Self { weight: facing / (z * z), at: (u, v), pixel })
+        let direction_w = surfel.p_w - frame.camera.center_w();
+        let facing = surfel.n_w.dot(-direction_w.normalize());
+        (facing >= config.seeding.min_cosine).then(|| Self {
+            weight: facing / (z * z),
+            color: color_at(frame, (u, v)),
+            label: labels[pixel],
+            direction_w: direction_w.as_vec3().to_array(),
+        })
     }
 }
 
@@ -112,12 +125,12 @@ impl AppearanceSum {
         Self { color: [0.0; 3], weight: 0.0, votes: vec![0; classes] }
     }
 
-    fn add(&mut self, weight: f64, color: [f64; 3], label: u16) {
-        if let Some(votes) = self.votes.get_mut(usize::from(label)) {
+    fn add(&mut self, sight: &Sight) {
+        if let Some(votes) = self.votes.get_mut(usize::from(sight.label)) {
             *votes += 1;
         }
-        (0..3).for_each(|c| self.color[c] += weight * color[c]);
-        self.weight += weight;
+        (0..3).for_each(|c| self.color[c] += sight.weight * sight.color[c]);
+        self.weight += sight.weight;
     }
 
     /// Returns the mean; that of the pixel that added the element if no frame measures it.

@@ -75,21 +75,28 @@ impl HashGrid {
 
     /// Whether a point lies nearer than `radius` to `p`.
     pub(crate) fn any_within(&self, p: Vec3, radius: f32) -> bool {
+        !self.all_within(p, radius, |_, _| false)
+    }
+
+    /// Calls `f` with the index and the squared distance of every point nearer than `radius` to `p`, some of them twice, until it returns
+    /// false. Returns whether it never did.
+    pub(crate) fn all_within(&self, p: Vec3, radius: f32, mut f: impl FnMut(usize, f32) -> bool) -> bool {
         // Slightly enlarged because of rounding.
         let reach = Vec3::splat(1.001 * radius) + p.abs() * 1e-6;
         let (low, high) = (self.cell_of(p - reach), self.cell_of(p + reach));
         // A cell's chain also holds points of other cells.
-        let near = |x, y, z| {
+        let mut all_near = |x, y, z| {
             let mut at = self.first[self.chain_of([x, y, z])];
             while at != NONE {
-                if (self.points[at as usize] - p).length_squared() < radius * radius {
-                    return true;
+                let squared = (self.points[at as usize] - p).length_squared();
+                if squared < radius * radius && !f(at as usize, squared) {
+                    return false;
                 }
                 at = self.next[at as usize];
             }
-            false
+            true
         };
-        (low[2]..=high[2]).any(|z| (low[1]..=high[1]).any(|y| (low[0]..=high[0]).any(|x| near(x, y, z))))
+        (low[2]..=high[2]).all(|z| (low[1]..=high[1]).all(|y| (low[0]..=high[0]).all(|x| all_near(x, y, z))))
     }
 }
 
@@ -111,6 +118,15 @@ mod tests {
             let at_once = HashGrid::of(0.05, &points);
             let query = Vec3::from_array(query);
             let expected = points.iter().any(|p| (*p - query).length() < radius);
+            let mut found = Vec::new();
+            at_once.all_within(query, radius, |i, squared| {
+                found.push((i, squared));
+                true
+            });
+            found.sort_by_key(|(i, _)| *i);
+            found.dedup();
+            let near = points.iter().map(|p| (*p - query).length_squared()).enumerate();
+            prop_assert_eq!(found, near.filter(|(_, squared)| *squared < radius * radius).collect::<Vec<_>>());
             prop_assert_eq!(occupancy.any_within(query, radius), expected);
             prop_assert_eq!(at_once.any_within(query, radius), expected);
             // Wider than the designed radius.

@@ -7,6 +7,7 @@
 
 use super::appearance::Appearance;
 use super::config::SeedingConfig;
+use super::occupancy::HashGrid;
 use glamx::Vec3;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
@@ -78,9 +79,9 @@ struct Element {
 struct SurfaceDetail<'a> {
     config: &'a SeedingConfig,
     elements: Vec<Element>,
-    /// Exponent of the cell size of the first grid; every following one has cells twice as large.
+    /// Exponent of the radius of the first grid; that of every following one is twice as large.
     first: i32,
-    grids: Vec<SortedGrid>,
+    grids: Vec<HashGrid>,
 }
 
 impl<'a> SurfaceDetail<'a> {
@@ -96,7 +97,9 @@ impl<'a> SurfaceDetail<'a> {
         let first = elements.iter().map(|e| exponent(e.spacing_m)).min().unwrap_or(0);
         let last = elements.iter().map(|e| exponent(config.coarsest / GRADING * e.spacing_m)).max();
         let last = last.unwrap_or(first).max(first);
-        let grids = (first..=last).into_par_iter().map(|e| SortedGrid::new(&elements, e)).collect();
+        let positions_w: Vec<Vec3> = elements.iter().map(|e| e.p_w).collect();
+        let grid = |exponent: i32| HashGrid::of((exponent as f32).exp2(), &positions_w);
+        let grids = (first..=last).into_par_iter().map(grid).collect();
         Self { config, elements, first, grids }
     }
 
@@ -105,13 +108,13 @@ impl<'a> SurfaceDetail<'a> {
         (0..self.elements.len()).into_par_iter().with_min_len(256).map(f).collect()
     }
 
-    /// Calls `f` with the elements on the same side of the surface nearer than `radius_m` to element `i`, and their distances, until it
-    /// returns false. Returns whether it never did.
+    /// Calls `f` with the elements on the same side of the surface nearer than `radius_m` to element `i`, and their distances, some of
+    /// them twice, until it returns false. Returns whether it never did.
     fn all_near(&self, i: usize, radius_m: f32, mut f: impl FnMut(usize, f32) -> bool) -> bool {
         let level = (exponent(radius_m) - self.first).clamp(0, self.grids.len() as i32 - 1);
         let Element { p_w, n_w, .. } = self.elements[i];
-        self.grids[level as usize].all_near(p_w, radius_m, |j, distance_m| {
-            j == i || self.elements[j].n_w.dot(n_w) <= 0.0 || f(j, distance_m)
+        self.grids[level as usize].all_within(p_w, radius_m, |j, squared| {
+            j == i || self.elements[j].n_w.dot(n_w) <= 0.0 || f(j, squared.sqrt())
         })
     }
 
@@ -171,44 +174,6 @@ impl<'a> SurfaceDetail<'a> {
 /// Returns the exponent of the least power of two that is not smaller than a length.
 fn exponent(length_m: f32) -> i32 {
     length_m.clamp(1e-6, 1e6).log2().ceil() as i32
-}
-
-/// Points sorted by their cells, so that those of neighbouring cells are found together.
-struct SortedGrid {
-    cell_m: f32,
-    points: Vec<([i32; 3], u32, Vec3)>,
-}
-
-impl SortedGrid {
-    /// Creates a grid with cells of 2 to the power of `exponent` metres.
-    fn new(elements: &[Element], exponent: i32) -> Self {
-        let cell_m = (exponent as f32).exp2();
-        let point = |(i, e): (usize, &Element)| (cell_of(e.p_w, cell_m), i as u32, e.p_w);
-        let mut points: Vec<_> = elements.par_iter().enumerate().map(point).collect();
-        points.par_sort_unstable_by_key(|(cell, i, _)| (*cell, *i));
-        Self { cell_m, points }
-    }
-
-    /// Calls `f` with the points nearer than `radius_m`, and their distances, until it returns false. Returns whether it never did.
-    fn all_near(&self, p_w: Vec3, radius_m: f32, mut f: impl FnMut(usize, f32) -> bool) -> bool {
-        let (low, high) = (cell_of(p_w - radius_m, self.cell_m), cell_of(p_w + radius_m, self.cell_m));
-        for (x, y) in (low[0]..=high[0]).flat_map(|x| (low[1]..=high[1]).map(move |y| (x, y))) {
-            let start = self.points.partition_point(|(cell, ..)| *cell < [x, y, low[2]]);
-            let column = self.points[start..].iter().take_while(|(cell, ..)| *cell <= [x, y, high[2]]);
-            for (_, i, q_w) in column {
-                let distance_m = q_w.distance(p_w);
-                if distance_m < radius_m && !f(*i as usize, distance_m) {
-                    return false;
-                }
-            }
-        }
-        true
-    }
-}
-
-/// Returns the cell of a point.
-fn cell_of(p_w: Vec3, cell_m: f32) -> [i32; 3] {
-    (p_w / cell_m).to_array().map(|v| v.floor() as i32)
 }
 
 #[cfg(test)]
