@@ -26,9 +26,14 @@ impl Mesh {
 
     /// Removes vertices that no triangle uses.
     pub fn compacted(&self) -> Self {
-        let mut new_index = vec![u32::MAX; self.vertices.len()];
+        self.part(self.triangles.iter().copied(), &mut vec![u32::MAX; self.vertices.len()])
+    }
+
+    /// Returns a mesh of some of the triangles. `new_index` is `u32::MAX` for each of their vertices, and receives the index of each in
+    /// the result.
+    fn part(&self, triangles: impl IntoIterator<Item = [u32; 3]>, new_index: &mut [u32]) -> Self {
         let mut out = Self::default();
-        for &t in &self.triangles {
+        for t in triangles {
             let triangle = t.map(|i| {
                 let slot = &mut new_index[i as usize];
                 if *slot == u32::MAX {
@@ -66,12 +71,10 @@ impl Mesh {
         for &t in &self.triangles {
             groups.entry(find(&mut parent, t[0])).or_default().push(t);
         }
-        let mut parts: Vec<Self> = groups
-            .into_values()
-            .map(|triangles| {
-                Self { vertices: self.vertices.clone(), triangles, colors: self.colors.clone() }.compacted()
-            })
-            .collect();
+        // Components share no vertex: one index serves them all.
+        let mut new_index = vec![u32::MAX; self.vertices.len()];
+        let mut parts: Vec<Self> =
+            groups.into_values().map(|triangles| self.part(triangles, &mut new_index)).collect();
         parts.sort_by_key(|p| std::cmp::Reverse(p.triangles.len()));
         parts
     }
@@ -102,5 +105,7 @@ mod tests {
         assert_eq!(parts.len(), 2);
         assert_eq!(parts[0].triangles.len(), 80);
         assert_eq!(parts[1].vertices.len(), 8);
+        let moved = |t: usize| a.corners(t).map(|p| p + DVec3::X * 5.0);
+        assert!((0..a.triangles.len()).all(|t| parts[1].corners(t) == moved(t)));
     }
 }
