@@ -187,7 +187,7 @@ fn draft(
         }
     }
     let discs = cloud::drop_islands(discs, coarse);
-    let spacing = cloud::spacing(&discs, config);
+    let spacing = cloud::spacing(&discs, views, info.id, config, seed.derive("spacing"));
     let mut cloud = cloud::densify(&discs, views, info.id, spacing, config, seed);
     let seen = cloud.points_w.len();
     if seen < 20 {

@@ -30,13 +30,18 @@ pub(crate) fn coarse_spacing(config: &EntitiesConfig) -> f64 {
 }
 
 /// Returns the point distance at which the point budget covers the surface of the discs.
-pub(crate) fn spacing(discs: &[SurfaceDisc], config: &EntitiesConfig) -> f64 {
+pub(crate) fn spacing(
+    discs: &[SurfaceDisc],
+    views: &Views,
+    label: u16,
+    config: &EntitiesConfig,
+    seed: Seed,
+) -> f64 {
     let coarse = coarse_spacing(config);
-    let points: Vec<DVec3> = discs.iter().map(|d| d.center).collect();
-    let normals: Vec<DVec3> = discs.iter().map(|d| d.normal).collect();
-    // Random points thinned to a distance cover about 0.7 of its square each (random sequential packing).
-    let area = 0.7_f64.recip() * thin(&points, &normals, coarse).len() as f64 * coarse * coarse;
-    (area / config.point_budget.max(1) as f64).sqrt().clamp(config.min_spacing.min(coarse), coarse)
+    // The number of samples falls with the square of their distance.
+    let count = sample(discs, views, label, coarse, config, seed).points.len() as f64;
+    let within_budget = coarse * (count / config.point_budget.max(1) as f64).sqrt();
+    within_budget.clamp(config.min_spacing.min(coarse), coarse)
 }
 
 /// Returns the discs of the Gaussians that are classified as `label`, oriented and checked against the frames. Drops
@@ -184,16 +189,22 @@ pub(crate) fn drop_islands(discs: Vec<SurfaceDisc>, spacing: f64) -> Vec<Surface
 /// Smallest radius for smoothing normals, metres: depth noise is correlated over a few pixels.
 const NORMAL_RADIUS_M: f64 = 0.005;
 
-/// Samples uniform surface points. Each disc is sampled uniformly by area, and samples that contradict the frames are
-/// dropped. The rest are thinned to the wanted density, moved onto the measured depth and given smoothed normals.
-pub(crate) fn densify(
+/// Points on discs.
+struct Samples {
+    points: Vec<DVec3>,
+    /// The disc of each point.
+    owners: Vec<usize>,
+}
+
+/// Samples each disc uniformly by area, thins the samples to the wanted density, and drops those that contradict the frames.
+fn sample(
     discs: &[SurfaceDisc],
     views: &Views,
     label: u16,
     spacing: f64,
     config: &EntitiesConfig,
     seed: Seed,
-) -> PointCloud {
+) -> Samples {
     let mut rng = seed.rng();
     let mut order: Vec<usize> = (0..discs.len()).collect();
     order.sort_by(|&a, &b| discs[b].opacity.total_cmp(&discs[a].opacity).then(a.cmp(&b)));
@@ -214,17 +225,33 @@ pub(crate) fn densify(
         }
     }
     let normals: Vec<DVec3> = owner.iter().map(|&i| discs[i].normal).collect();
-    let kept = thin(&points, &normals, 0.8 * spacing);
-    let mut cloud = PointCloud::default();
-    for i in kept {
+    let mut kept = thin(&points, &normals, 0.8 * spacing);
+    kept.retain(|&i| {
         let count = views.count(points[i], label);
-        if count.free > count.own || (count.other > count.own && count.own < 3) {
-            continue;
-        }
-        cloud.points_w.push(points[i]);
-        cloud.normals_w.push(normals[i]);
-        cloud.colors.push(discs[owner[i]].color);
-    }
+        count.free <= count.own && (count.other <= count.own || count.own >= 3)
+    });
+    Samples { points: chosen(&points, &kept), owners: chosen(&owner, &kept) }
+}
+
+fn chosen<T: Copy>(of: &[T], indices: &[usize]) -> Vec<T> {
+    indices.iter().map(|&i| of[i]).collect()
+}
+
+/// Samples uniform surface points, moves them onto the measured depth and smooths their normals.
+pub(crate) fn densify(
+    discs: &[SurfaceDisc],
+    views: &Views,
+    label: u16,
+    spacing: f64,
+    config: &EntitiesConfig,
+    seed: Seed,
+) -> PointCloud {
+    let Samples { points, owners } = sample(discs, views, label, spacing, config, seed);
+    let mut cloud = PointCloud {
+        points_w: points,
+        normals_w: owners.iter().map(|&i| discs[i].normal).collect(),
+        colors: owners.iter().map(|&i| discs[i].color).collect(),
+    };
     if config.refine_to_depth {
         for _ in 0..2 {
             for i in 0..cloud.points_w.len() {
@@ -238,4 +265,31 @@ pub(crate) fn densify(
     }
     drop_strays(&mut cloud, spacing);
     cloud
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::over_plate;
+
+    #[test]
+    fn the_point_budget_covers_discs_that_are_farther_apart_than_points() {
+        // The labelled half of the plate is 0.5 m × 1 m.
+        let (sequence, labels) = over_plate(3, 100);
+        let views = Views { sequence: &sequence, labels: &labels };
+        let apart = 0.025;
+        let at = |i: usize| DVec3::new(-0.5 + apart * (i % 20) as f64, -0.5 + apart * (i / 20) as f64, 0.0);
+        let disc = |i: usize| SurfaceDisc {
+            center: at(i) + DVec3::new(0.5, 0.5, 0.0) * apart,
+            normal: DVec3::Z,
+            axes: [DVec3::X, DVec3::Y].map(|axis| axis * 0.5 * apart),
+            opacity: 1.0,
+            color: [0; 3],
+        };
+        let discs: Vec<SurfaceDisc> = (0..800).map(disc).collect();
+        let config = EntitiesConfig { point_budget: 40_000, ..EntitiesConfig::default() };
+        let spacing_m = spacing(&discs, &views, 1, &config, Seed(1));
+        let points = densify(&discs, &views, 1, spacing_m, &config, Seed(2)).points_w.len();
+        assert!((36_000..44_000).contains(&points), "{points} points {spacing_m} m apart");
+    }
 }

@@ -171,34 +171,7 @@ impl Views<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glamx::DPose3;
-    use sms_core::{Camera, Image, Intrinsics, LabelMap, MaskSource};
-    use sms_frames::Frame;
-
-    /// Cameras 1 m above a plate with label 1 in the left half of their images. There is no depth beyond `width`.
-    fn over_plate(cameras: usize, width: usize) -> (Sequence, Labels) {
-        let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0, width: 100, height: 100 };
-        let frame = |index: usize| Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
-            index,
-            time_s: None,
-            camera: Camera::look_at(intrinsics, DVec3::Z, DVec3::ZERO, DVec3::Y),
-            color: Image::filled(100, 100, [0; 3]),
-            depth: Image::from_vec(
-                100,
-                100,
-                (0..10_000).map(|i| if i % 100 < width { 1.0 } else { 0.0 }).collect::<Vec<f32>>(),
-            ),
-            normal_c: Image::filled(100, 100, [0.0, 0.0, -1.0]),
-            color_path: "none".into(),
-            mask_path: None,
-        };
-        let half =
-            LabelMap::from_vec(100, 100, (0..10_000).map(|i| u16::from(i % 100 < 50)).collect::<Vec<_>>());
-        let frames: Vec<Frame> = (0..cameras).map(frame).collect();
-        let labels = Labels { maps: vec![half; cameras], objects: Vec::new(), source: MaskSource::Files };
-        (Sequence { frames, x_world_recording: DPose3::IDENTITY, source: "none".into() }, labels)
-    }
+    use crate::fixtures::over_plate;
 
     #[test]
     fn what_lies_below_a_surface_is_inside_and_what_has_no_depth_may_be_there() {
