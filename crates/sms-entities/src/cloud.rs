@@ -39,7 +39,7 @@ pub(crate) fn spacing(
 ) -> f64 {
     let coarse = coarse_spacing(config);
     // The number of samples falls with the square of their distance.
-    let count = sample(discs, views, label, coarse, config, seed).points.len() as f64;
+    let count = sample(discs, views, label, coarse, config, seed).points_w.len() as f64;
     let within_budget = coarse * (count / config.point_budget.max(1) as f64).sqrt();
     within_budget.clamp(config.min_spacing.min(coarse), coarse)
 }
@@ -189,13 +189,6 @@ pub(crate) fn drop_islands(discs: Vec<SurfaceDisc>, spacing: f64) -> Vec<Surface
 /// Smallest radius for smoothing normals, metres: depth noise is correlated over a few pixels.
 const NORMAL_RADIUS_M: f64 = 0.005;
 
-/// Points on discs.
-struct Samples {
-    points: Vec<DVec3>,
-    /// The disc of each point.
-    owners: Vec<usize>,
-}
-
 /// Samples each disc uniformly by area, thins the samples to the wanted density, and drops those that contradict the frames.
 fn sample(
     discs: &[SurfaceDisc],
@@ -204,7 +197,7 @@ fn sample(
     spacing: f64,
     config: &EntitiesConfig,
     seed: Seed,
-) -> Samples {
+) -> PointCloud {
     let mut rng = seed.rng();
     let mut order: Vec<usize> = (0..discs.len()).collect();
     order.sort_by(|&a, &b| discs[b].opacity.total_cmp(&discs[a].opacity).then(a.cmp(&b)));
@@ -225,16 +218,17 @@ fn sample(
         }
     }
     let normals: Vec<DVec3> = owner.iter().map(|&i| discs[i].normal).collect();
-    let mut kept = thin(&points, &normals, 0.8 * spacing);
-    kept.retain(|&i| {
+    let mut cloud = PointCloud::default();
+    for i in thin(&points, &normals, 0.8 * spacing) {
         let count = views.count(points[i], label);
-        count.free <= count.own && (count.other <= count.own || count.own >= 3)
-    });
-    Samples { points: chosen(&points, &kept), owners: chosen(&owner, &kept) }
-}
-
-fn chosen<T: Copy>(of: &[T], indices: &[usize]) -> Vec<T> {
-    indices.iter().map(|&i| of[i]).collect()
+        if count.free > count.own || (count.other > count.own && count.own < 3) {
+            continue;
+        }
+        cloud.points_w.push(points[i]);
+        cloud.normals_w.push(normals[i]);
+        cloud.colors.push(discs[owner[i]].color);
+    }
+    cloud
 }
 
 /// Samples uniform surface points, moves them onto the measured depth and smooths their normals.
@@ -246,12 +240,7 @@ pub(crate) fn densify(
     config: &EntitiesConfig,
     seed: Seed,
 ) -> PointCloud {
-    let Samples { points, owners } = sample(discs, views, label, spacing, config, seed);
-    let mut cloud = PointCloud {
-        points_w: points,
-        normals_w: owners.iter().map(|&i| discs[i].normal).collect(),
-        colors: owners.iter().map(|&i| discs[i].color).collect(),
-    };
+    let mut cloud = sample(discs, views, label, spacing, config, seed);
     if config.refine_to_depth {
         for _ in 0..2 {
             for i in 0..cloud.points_w.len() {
