@@ -12,6 +12,7 @@ use crate::commands::physics::PhysicsArguments;
 use crate::commands::plan::PlanSpeedArguments;
 use crate::commands::real_like::RealLikeArguments;
 use crate::commands::robust::RobustArguments;
+use crate::commands::room::RoomArguments;
 use crate::commands::scan::ScanStudyArguments;
 use crate::commands::scenes::ScenesArguments;
 use crate::commands::score::ScoreArguments;
@@ -51,6 +52,8 @@ pub(crate) enum Experiment {
     /// Find and reconstruct objects in recordings with the errors of real sensors: billiards scenes and stacks with each of five
     /// sensors.
     RealLike(RealLikeArguments),
+    /// Scan a furnished room that a camera is carried through, and make its bodies: time, memory and quality.
+    Room(RoomArguments),
     /// Compare nominal with robust planning at equal cost, in true worlds with other materials than the planner was given
     /// (`--materials noisy`) and slightly displaced bodies. True geometry of generated scenes; by default the striker is a
     /// kinematic finger, and the engine the planner's.

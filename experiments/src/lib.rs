@@ -48,6 +48,7 @@ mod redrawn;
 mod reference;
 mod robust;
 mod robust_table;
+mod room;
 mod run;
 mod scenes;
 mod score;
@@ -107,6 +108,7 @@ pub use recordings::{locate, recording};
 pub use reference::Yardstick;
 pub use robust::{RobustBench, run_robust};
 pub use robust_table::robust_table;
+pub use room::Room;
 pub use run::{run_scene, run_scene_with};
 pub use scenes::{
     BenchScene, FRAMES, HOLDOUT, LANDING_SCENES, MODELS, REAL, SEEDS, STACKED_SEED, generated, model_path,

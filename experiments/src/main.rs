@@ -27,6 +27,7 @@ fn run(console: &Console, command: &Experiment) -> anyhow::Result<()> {
         Experiment::Score(a) => commands::score::run(console, a),
         Experiment::Optimisers(a) => commands::optimisers::run(console, a),
         Experiment::Tracking(a) => commands::tracking::run(console, a),
+        Experiment::Room(a) => commands::room::run(console, a),
         Experiment::Orbits(a) => commands::orbits::run(console, a),
         Experiment::RealLike(a) => commands::real_like::run(console, a),
         Experiment::Robust(a) => commands::robust::run(console, a),

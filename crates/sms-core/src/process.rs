@@ -1,9 +1,24 @@
-//! Resources used by this process, from `/proc` (Linux); `None` on other systems.
+//! Memory of this process and of the machine, from `/proc` (Linux); `None` on other systems.
 
 /// Returns the peak resident memory of this process in bytes.
 pub fn peak_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+    entry_bytes("/proc/self/status", "VmHWM:")
+}
+
+/// Returns the resident memory of this process in bytes.
+pub fn resident_bytes() -> Option<u64> {
+    entry_bytes("/proc/self/status", "VmRSS:")
+}
+
+/// Returns the memory that programs can take without swapping, in bytes.
+pub fn available_bytes() -> Option<u64> {
+    entry_bytes("/proc/meminfo", "MemAvailable:")
+}
+
+/// Returns the value of a line `KEY: N kB`.
+fn entry_bytes(file: &str, key: &str) -> Option<u64> {
+    let text = std::fs::read_to_string(file).ok()?;
+    let line = text.lines().find(|l| l.starts_with(key))?;
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
@@ -13,6 +28,15 @@ mod tests {
 
     #[test]
     fn a_process_has_a_peak() {
-        assert!(peak_bytes().unwrap() > 100_000);
+        let peak = peak_bytes().unwrap();
+        assert!(
+            resident_bytes().unwrap() > 100_000
+                && resident_bytes().unwrap() <= peak_bytes().unwrap().max(peak)
+        );
+    }
+
+    #[test]
+    fn a_machine_has_memory_left() {
+        assert!(available_bytes().unwrap() > 100_000);
     }
 }

@@ -25,6 +25,7 @@ mod colors;
 mod depth_file;
 mod floor;
 mod formats;
+mod keyframes;
 mod lens;
 mod load;
 mod normals;

@@ -1,6 +1,7 @@
 //! Loading: images are read, undistorted and resampled, normals computed, the world aligned.
 
 use crate::align::align;
+use crate::keyframes::keyframes;
 use crate::normals::normals_from_depth;
 use crate::resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
 use crate::{Frame, FramesError, LoadSettings, Recording, Sequence};
@@ -14,7 +15,7 @@ pub(crate) fn selected_frames(recording: &Recording, settings: &LoadSettings) ->
     (settings.first..recording.frames.len()).step_by(settings.stride.max(1)).take(most).collect()
 }
 
-/// Loads a recording: frames at scan resolution in a metric world with z up.
+/// Loads a recording: its keyframes ([`LoadSettings::keyframe_views`]) at scan resolution in a metric world with z up.
 ///
 /// Frames are read in parallel; the result does not depend on the number of threads.
 ///
@@ -39,6 +40,7 @@ pub fn load(
         let what = format!("no frame is left of {} from frame {} on", recording.frames.len(), settings.first);
         return Err(InputError::new(what, &recording.root, "start earlier, or use all frames").into());
     }
+    let selected = keyframes(recording, &selected, settings.keyframe_views, context)?;
     progress.begin("load", selected.len() as u64);
     let done = AtomicU64::new(0);
     let loaded: Vec<Result<Option<Frame>, FramesError>> = selected

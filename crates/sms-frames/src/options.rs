@@ -175,6 +175,10 @@ pub struct LoadSettings {
     pub stride: usize,
     /// Maximum number of frames, 0 for all.
     pub max_frames: usize,
+    /// Frames that show a surface from about the same side and distance, beyond which more are not used: a frame is left out if most of the
+    /// surface that it shows has that many keyframes, so that memory and time follow the size of the scene rather than the number
+    /// of frames. A recording of at most this many frames keeps all of them; 0 keeps all of any recording.
+    pub keyframe_views: usize,
     /// How the world is aligned.
     pub align: Align,
     /// Depth noise of the sensor.
@@ -192,6 +196,7 @@ impl Default for LoadSettings {
             first: 0,
             stride: 1,
             max_frames: 0,
+            keyframe_views: 100,
             align: Align::Auto,
             noise: DepthNoise::default(),
             estimate_noise: true,
@@ -214,6 +219,7 @@ impl LoadSettings {
         r.count("first", self.first, 0, 10_000_000)?;
         r.count("stride", self.stride, 1, 1_000_000)?;
         r.count("max_frames", self.max_frames, 0, 10_000_000)?;
+        r.count("keyframe_views", self.keyframe_views, 0, 10_000)?;
         if let Align::Up(up) = self.align {
             for (axis, value) in up.into_iter().enumerate() {
                 r.within(&format!("align.up[{axis}]"), value, -1e6, 1e6)?;

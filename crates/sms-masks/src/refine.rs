@@ -7,6 +7,7 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use sms_core::{BACKGROUND, InputError, LabelMap, Labels};
 use sms_frames::{Frame, Sequence};
+use std::collections::HashSet;
 use std::num::NonZeroUsize;
 
 /// Margin of the paper, in pixels of an image 1280 wide; see [`scaled_margin_px`].
@@ -27,6 +28,11 @@ pub(crate) fn scaled_margin_px(width: usize) -> usize {
 
 /// Largest distance of a voter. Farther voters may be flying pixels between two surfaces.
 const REACH_M: f64 = 0.012;
+/// Size of the cells round borders outside of which voters are left out. It is a multiple of the voters' cells, so that none of these
+/// is cut, and their means are those of all points; and at least twice the reach, so that the corners of the cube around a point lie in
+/// all cells that the cube touches.
+const NEAR_M: f64 = 16.0 * CELL_M;
+const _: () = assert!(NEAR_M >= 2.0 * REACH_M);
 /// Spread of colour on one surface, 8-bit levels: noise and light.
 const COLOR_SIGMA: f64 = 20.0;
 /// Weight of a voter with a colour unlike the pixel's, relative to 1 for the same colour. Near silhouettes, depth often
@@ -63,13 +69,18 @@ pub fn refine_edges(labels: &Labels, sequence: &Sequence, margin_px: usize) -> R
         return Err(InputError::new(what, &sequence.source, cure).into());
     }
     let margins: Vec<Vec<bool>> = labels.maps.par_iter().map(|map| margin(map, margin_px)).collect();
+    Ok(refine_near(labels, sequence, &margins, &cells_near(sequence, &margins)))
+}
+
+/// Relabels the pixels of the margins, by the votes of the points in the cells `near`.
+fn refine_near(labels: &Labels, sequence: &Sequence, margins: &[Vec<bool>], near: &HashSet<u64>) -> Labels {
     let per_frame: Vec<Vec<Voter>> = (0..sequence.len())
         .into_par_iter()
-        .map(|i| merge(voters(&sequence.frames[i], &labels.maps[i], &margins[i])))
+        .map(|i| merge(voters(&sequence.frames[i], &labels.maps[i], &margins[i], near)))
         .collect();
     let cloud = merge(per_frame.into_iter().flatten().collect());
     if cloud.is_empty() {
-        return Ok(labels.clone());
+        return labels.clone();
     }
     let points: Vec<[f64; 3]> = cloud.iter().map(|v| v.p_w.to_array()).collect();
     let tree = ImmutableKdTree::<f64, 3>::new_from_slice(&points);
@@ -77,13 +88,8 @@ pub fn refine_edges(labels: &Labels, sequence: &Sequence, margin_px: usize) -> R
         .into_par_iter()
         .map(|i| {
             let (frame, mut map) = (&sequence.frames[i], labels.maps[i].clone());
-            let width = map.width;
-            for (pixel, value) in map.data.iter_mut().enumerate() {
-                let z = f64::from(frame.depth.data[pixel]);
-                if !margins[i][pixel] || z <= 0.0 {
-                    continue;
-                }
-                let p_w = frame.camera.unproject_pixel(pixel % width, pixel / width, z);
+            for (pixel, value) in map.data.iter_mut().enumerate().filter(|(pixel, _)| margins[i][*pixel]) {
+                let Some(p_w) = point_w(frame, pixel) else { continue };
                 let near = tree.nearest_n::<SquaredEuclidean>(&p_w.to_array(), NEIGHBORS);
                 *value = vote(
                     near.iter().map(|n| (&cloud[n.item as usize], n.distance)),
@@ -94,7 +100,7 @@ pub fn refine_edges(labels: &Labels, sequence: &Sequence, margin_px: usize) -> R
             map
         })
         .collect();
-    Ok(Labels { maps, ..labels.clone() })
+    Labels { maps, ..labels.clone() }
 }
 
 /// Marks pixels within `margin_px` (Chebyshev) of a change of label.
@@ -129,15 +135,37 @@ fn margin(map: &LabelMap, margin_px: usize) -> Vec<bool> {
         .collect()
 }
 
-fn voters(frame: &Frame, map: &LabelMap, margin: &[bool]) -> Vec<Voter> {
-    let width = map.width;
+/// Returns the measured point of a pixel.
+fn point_w(frame: &Frame, pixel: usize) -> Option<DVec3> {
+    let (width, z) = (frame.depth.width, f64::from(frame.depth.data[pixel]));
+    (z > 0.0).then(|| frame.camera.unproject_pixel(pixel % width, pixel / width, z))
+}
+
+/// Returns the cells of size [`NEAR_M`] that hold everything within [`REACH_M`] of the points in the margins. Points elsewhere have no
+/// vote, and would be most of the memory.
+fn cells_near(sequence: &Sequence, margins: &[Vec<bool>]) -> HashSet<u64> {
+    let of_frame = |(frame, margin): (&Frame, &Vec<bool>)| {
+        let points_w = (0..margin.len()).filter(|&i| margin[i]).filter_map(|i| point_w(frame, i));
+        let corner = |k: u8| {
+            DVec3::from_array([0, 1, 2].map(|axis| if k >> axis & 1 == 1 { REACH_M } else { -REACH_M }))
+        };
+        let keys = points_w.flat_map(|p_w| (0..8).filter_map(move |k| key_of(p_w + corner(k), NEAR_M)));
+        keys.collect::<HashSet<u64>>()
+    };
+    let union = |mut all: HashSet<u64>, of_one: HashSet<u64>| {
+        all.extend(of_one);
+        all
+    };
+    sequence.frames.par_iter().zip(margins).map(of_frame).reduce(HashSet::new, union)
+}
+
+fn voters(frame: &Frame, map: &LabelMap, margin: &[bool], near: &HashSet<u64>) -> Vec<Voter> {
     (0..map.data.len())
         .filter_map(|pixel| {
-            let z = f64::from(frame.depth.data[pixel]);
-            let p_w = frame.camera.unproject_pixel(pixel % width, pixel / width, z);
+            let p_w = point_w(frame, pixel)?;
             let key = key_of(p_w, CELL_M)?;
             let weight = if margin[pixel] { DOUBTFUL_WEIGHT } else { 1.0 };
-            (z > 0.0).then_some(Voter {
+            key_of(p_w, NEAR_M).is_some_and(|cell| near.contains(&cell)).then_some(Voter {
                 key,
                 label: map.data[pixel],
                 p_w,
@@ -229,6 +257,22 @@ mod tests {
             println!("solid {value}: IoU {b:.3} before, {a:.3} after");
             assert!(b < 0.8 && a > b + 0.1 && a > 0.87, "solid {value}: {b:.3} -> {a:.3}");
         }
+    }
+
+    #[test]
+    fn points_far_from_all_borders_have_no_vote() {
+        let solids = table_scene();
+        let (sequence, truth) = scene(&solids, Sensor { frames: 6, ..Sensor::default() }, 3);
+        let wrong = truth.iter().enumerate().map(|(i, m)| corrupt(m, i, 2)).collect();
+        let labels = truth_labels(wrong, solids.len() as u16);
+        let margins: Vec<Vec<bool>> = labels.maps.iter().map(|map| margin(map, 3)).collect();
+        let near = cells_near(&sequence, &margins);
+        let points_w =
+            sequence.frames.iter().flat_map(|f| (0..f.depth.data.len()).filter_map(|i| point_w(f, i)));
+        let everywhere: HashSet<u64> = points_w.filter_map(|p_w| key_of(p_w, NEAR_M)).collect();
+        assert!(near.intersection(&everywhere).count() < everywhere.len() / 2);
+        let maps = |cells: &HashSet<u64>| refine_near(&labels, &sequence, &margins, cells).maps;
+        assert_eq!(maps(&near), maps(&everywhere));
     }
 
     #[test]

@@ -25,6 +25,7 @@ mod context;
 mod device;
 mod error;
 mod material_edits;
+mod memory;
 mod networks;
 mod object_names;
 mod origin;

@@ -13,6 +13,7 @@ pub(crate) mod physics;
 pub(crate) mod plan;
 pub(crate) mod real_like;
 pub(crate) mod robust;
+pub(crate) mod room;
 pub(crate) mod scan;
 pub(crate) mod scenes;
 pub(crate) mod score;

@@ -150,3 +150,34 @@ fn frames_can_be_thinned_and_paths_of_labels_follow() {
     assert!(sequence.frames[1].mask_path.as_ref().unwrap().ends_with("mask.png"));
     assert_eq!(recording.index_of(&sequence.frames[1]), Some(4));
 }
+
+/// Indices of the frames that a recording keeps.
+fn kept(how: &Written, keyframe_views: usize) -> Vec<usize> {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), how);
+    let recording = Recording::open(dir.path(), &ReadOptions::default()).unwrap();
+    let settings = LoadSettings { long_side: 40, keyframe_views, ..LoadSettings::default() };
+    let sequence =
+        load(&recording, &settings, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap();
+    sequence.frames.iter().map(|f| recording.index_of(f).unwrap()).collect()
+}
+
+#[test]
+fn a_camera_that_stands_still_keeps_as_many_frames_as_are_asked_for_spread_evenly() {
+    let still = Written { frames: 16, arc: 0.0, ..Written::default() };
+    assert_eq!(kept(&still, 4), [0, 4, 8, 12]);
+    assert_eq!(kept(&still, 16).len(), 16);
+    assert_eq!(kept(&still, 0).len(), 16);
+}
+
+#[test]
+fn keyframes_follow_the_size_of_the_scene_and_not_the_number_of_frames() {
+    let orbit = |frames: usize, arc: f64| Written { frames, arc, ..Written::default() };
+    let [few, many] = [96, 384].map(|frames| kept(&orbit(frames, 3.0), 4));
+    assert!((20..32).contains(&few.len()) && many.len().abs_diff(few.len()) <= 4, "{few:?} {many:?}");
+    // Every part of the path keeps frames.
+    let longest = few.windows(2).map(|w| w[1] - w[0]).max().unwrap();
+    assert!(longest <= 12, "{few:?}");
+    let of_half = kept(&orbit(96, 1.5), 4);
+    assert!(of_half.len() < few.len() - 4, "{of_half:?} {few:?}");
+}

@@ -5,6 +5,7 @@ use super::poses::POSES;
 use super::settings::{RunSettings, SETTINGS, regions_hash};
 use crate::cache::{inputs_hash, run_stage};
 use crate::command_options::record_options;
+use crate::memory::ScanMemory;
 use crate::networks::Networks;
 use crate::object_names::{EDITS, ObjectNames, follow};
 use crate::preview::{FOUND, FoundBox};
@@ -119,6 +120,7 @@ impl Run<'_> {
             frames_hash: &frames_hash,
             sequence: &sequence,
         };
+        self.context.message(ScanMemory::of(&sequence).text());
         let labels = self.masks_stage(&work, &opened)?;
         self.gaussians_stage(&work, &labels, recorded, observer)?;
         self.tell_stale(&run);

@@ -30,7 +30,7 @@ pub fn sensor(
     context: StageContext<'_>,
 ) -> Result<SensorErrors, Error> {
     let first = recording.frames.len().saturating_sub(EXAMINED) / 2;
-    let some = LoadSettings { first, stride: 1, max_frames: EXAMINED, ..settings.clone() };
+    let some = LoadSettings { first, stride: 1, max_frames: EXAMINED, keyframe_views: 0, ..settings.clone() };
     let posed = posed_frames(recording, &some, config, !recording.has_poses, context)?;
     let config = PosesConfig { mode: PosesMode::Refine, ..config.for_origin(posed.origin) };
     let report =
