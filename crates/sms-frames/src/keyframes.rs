@@ -104,9 +104,8 @@ impl Samples {
         };
         let at = |(x, y): (usize, usize)| {
             let z = f64::from(depth.as_ref()?[(x, y)]);
-            let (u, v) = ((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy);
-            let (u, v) = lens.distortion.undistort(u, v)?;
-            (z > 0.0).then(|| (x_wc.rotation * DVec3::new(-u, -v, -1.0) * z).as_vec3())
+            let ray_c = lens.ray_c(x as f64 + 0.5, y as f64 + 0.5)?;
+            (z > 0.0).then(|| (x_wc.rotation * -ray_c * z).as_vec3())
         };
         let along = |side: usize| (step.min(side) / 2..side).step_by(step);
         let pixels = along(k.height).flat_map(|y| along(k.width).map(move |x| (x, y)));

@@ -1,5 +1,6 @@
 //! A real lens: pinhole intrinsics with distortion.
 
+use glamx::DVec3;
 use serde::{Deserialize, Serialize};
 use sms_core::Intrinsics;
 
@@ -90,9 +91,15 @@ impl Lens {
 
     /// Maps image-plane coordinates (u, v) of the recorded image to the pinhole `ideal`.
     pub fn to_ideal(&self, ideal: &Intrinsics, u: f64, v: f64) -> Option<(f64, f64)> {
+        let ray_c = self.ray_c(u, v)?;
+        Some((ideal.fx * ray_c.x + ideal.cx, ideal.fy * ray_c.y + ideal.cy))
+    }
+
+    /// Returns the point at depth 1 that image-plane coordinates (u, v) of the recorded image show, in the camera frame.
+    pub(crate) fn ray_c(&self, u: f64, v: f64) -> Option<DVec3> {
         let k = &self.intrinsics;
         let (x, y) = self.distortion.undistort((u - k.cx) / k.fx, (v - k.cy) / k.fy)?;
-        Some((ideal.fx * x + ideal.cx, ideal.fy * y + ideal.cy))
+        Some(DVec3::new(x, y, 1.0))
     }
 }
 

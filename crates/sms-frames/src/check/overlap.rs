@@ -1,7 +1,7 @@
 //! Overlap error: depth of one frame carried into another.
 
 use crate::{Lens, Recording};
-use glamx::{DPose3, DVec3};
+use glamx::DPose3;
 use sms_core::{Image, QuantileRule, quantile};
 
 /// Number of samples taken from a frame.
@@ -66,14 +66,12 @@ impl DepthSamples {
     pub(super) fn carry_into(&self, other: &Self, x_oc: &DPose3, reading: &Hypothesis) -> PairErrors {
         let (own, theirs) =
             (self.shifted_lens(reading.center_shift), other.shifted_lens(reading.center_shift));
-        let (k, ko) = (own.intrinsics, theirs.intrinsics);
+        let ko = theirs.intrinsics;
         let mut errors = PairErrors { absolute: Vec::new(), relative: Vec::new(), tried: 0 };
         for &(u, v, raw) in self.samples.iter().step_by(reading.every) {
             errors.tried += 1;
-            let Some((x, y)) = own.distortion.undistort((u - k.cx) / k.fx, (v - k.cy) / k.fy) else {
-                continue;
-            };
-            let p = x_oc.transform_point(DVec3::new(x, y, 1.0) * (raw * reading.unit_m));
+            let Some(ray_c) = own.ray_c(u, v) else { continue };
+            let p = x_oc.transform_point(ray_c * (raw * reading.unit_m));
             if p.z <= 1e-6 {
                 continue;
             }
