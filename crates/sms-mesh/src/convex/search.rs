@@ -18,10 +18,10 @@ const SLIGHT: f64 = 2e-3;
 const PLENTY: f64 = 0.6;
 
 /// Number of offsets along each direction of the first cut, and of the second.
-const OFFSETS: [usize; 2] = [15, 7];
+const OFFSETS: [usize; 2] = [15, 3];
 
 /// Number of first cuts that are tried with second cuts.
-const CANDIDATES: usize = 16;
+const CANDIDATES: usize = 4;
 
 /// Hull volume that an additional part must save, in units of the volume with [`rv`](crate::convex::solid::rv) at the
 /// threshold.
@@ -90,13 +90,12 @@ fn side_volumes(
     hull.clear(SLIGHT);
     let mut at = 0;
     for (k, &d) in offsets.iter().enumerate() {
+        // The outline first: many of the points below are then inside.
+        outline(&mut outlines[k]);
+        outlines[k].iter().for_each(|(_, p)| hull.push(*p));
         while at < order.len() && heights[order[at] as usize] <= d {
             hull.push(piece.points[order[at] as usize]);
             at += 1;
-        }
-        outline(&mut outlines[k]);
-        for (_, p) in &outlines[k] {
-            hull.push(*p);
         }
         below.push(hull.volume());
     }
@@ -104,12 +103,10 @@ fn side_volumes(
     hull.clear(SLIGHT);
     let mut at = order.len();
     for (k, &d) in offsets.iter().enumerate().rev() {
+        outlines[k].iter().for_each(|(_, p)| hull.push(*p));
         while at > 0 && heights[order[at - 1] as usize] >= d {
             hull.push(piece.points[order[at - 1] as usize]);
             at -= 1;
-        }
-        for (_, p) in &outlines[k] {
-            hull.push(*p);
         }
         volumes[k] = (below[k], hull.volume());
     }
