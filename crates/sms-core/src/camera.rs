@@ -91,6 +91,20 @@ impl Camera {
         inside.then_some((u as usize, v as usize))
     }
 
+    /// Returns `false` only if no point of the ball projects into the image. Balls beside a corner of the view may give
+    /// `true` too.
+    pub fn may_see(&self, center_w: DVec3, radius: f64) -> bool {
+        let c = self.x_wc.inverse_transform_point(center_w);
+        let k = &self.intrinsics;
+        // The side of the view at this edge of the image: signed distance towards the inside.
+        let inside = |f: f64, edge: f64, across: f64| (f * across + edge * c.z) / f.hypot(edge) >= -radius;
+        c.z >= -radius
+            && inside(k.fx, k.cx, c.x)
+            && inside(k.fx, k.width as f64 - k.cx, -c.x)
+            && inside(k.fy, k.cy, c.y)
+            && inside(k.fy, k.height as f64 - k.cy, -c.y)
+    }
+
     /// Returns the camera centre in the world.
     pub fn center_w(&self) -> DVec3 {
         self.x_wc.translation
@@ -126,5 +140,21 @@ mod tests {
         let k = Intrinsics::from_fov(1280, 800, 1.1).scaled_to(320, 200);
         let same = Intrinsics::from_fov(320, 200, 1.1);
         assert!((k.fx - same.fx).abs() < 1e-9 && (k.cx - same.cx).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_ball_that_reaches_into_the_image_may_be_seen() {
+        let k = Intrinsics { width: 64, height: 48, fx: 50.0, fy: 60.0, cx: 30.0, cy: 25.0 };
+        let camera = Camera::new(k, DPose3::IDENTITY);
+        // The left edge of the view passes through (-0.6, 0, 1), at an angle of atan(0.6) to the axis.
+        let beside =
+            |distance: f64| DVec3::new(-0.6, 0.0, 1.0) + DVec3::new(-50.0, 0.0, -30.0).normalize() * distance;
+        assert!(camera.may_see(beside(0.09), 0.1) && !camera.may_see(beside(0.11), 0.1));
+        assert!(camera.may_see(beside(-0.11), 0.1));
+        // The lower edge, the camera itself, and what is behind it.
+        let below = DVec3::new(0.0, 23.0 / 60.0, 1.0) + DVec3::new(0.0, 60.0, -23.0).normalize() * 0.11;
+        assert!(camera.may_see(below, 0.12) && !camera.may_see(below, 0.1));
+        assert!(camera.may_see(DVec3::ZERO, 0.1) && camera.may_see(-0.05 * DVec3::Z, 0.1));
+        assert!(!camera.may_see(-0.2 * DVec3::Z, 0.1));
     }
 }

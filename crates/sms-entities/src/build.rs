@@ -46,7 +46,7 @@ pub fn build_entities(
     let StageContext { progress, cancel, warnings, seed } = context;
     config.validate()?;
     check_inputs(sequence, labels)?;
-    let views = Views { sequence, labels };
+    let views = Views::new(sequence, labels);
     let count = labels.objects.len() as u64;
     progress.begin("objects", 2 * count + 1);
     let mut around = support::surroundings(&views, 0.005);
@@ -88,7 +88,7 @@ pub fn build_entities(
     } else {
         own_labels = labels.clone();
         relabel(&mut own_labels, &joined);
-        Views { sequence, labels: &own_labels }
+        views.relabelled(&own_labels)
     };
     done.store(count, Ordering::Relaxed);
     let entities: Vec<Option<Entity>> = drafts

@@ -265,7 +265,7 @@ mod tests {
     fn the_point_budget_covers_discs_that_are_farther_apart_than_points() {
         // The labelled half of the plate is 0.5 m × 1 m.
         let (sequence, labels) = over_plate(3, 100);
-        let views = Views { sequence: &sequence, labels: &labels };
+        let views = Views::new(&sequence, &labels);
         let apart = 0.025;
         let at = |i: usize| DVec3::new(-0.5 + apart * (i % 20) as f64, -0.5 + apart * (i / 20) as f64, 0.0);
         let disc = |i: usize| SurfaceDisc {

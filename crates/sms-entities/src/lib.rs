@@ -29,6 +29,7 @@ mod error;
 #[cfg(test)]
 mod fixtures;
 mod foot;
+mod frame_cells;
 mod hollow;
 mod level;
 mod lid;
@@ -43,6 +44,7 @@ mod save;
 mod stack;
 mod standing;
 mod support;
+mod texel_colors;
 mod texture;
 mod underside;
 mod views;

@@ -2,6 +2,7 @@
 //! them in `entities.json`.
 
 use crate::{EntitiesError, EntitySet};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sms_core::{
     Entity, EntityKind, EntityShape, InputError, Mesh, PointCloud, atomic, read_mesh_texture,
@@ -40,35 +41,37 @@ struct EntityFile {
 /// # Errors
 /// [`EntitiesError::Core`] when a file cannot be written.
 pub fn save_entities(dir: &Path, set: &EntitySet) -> Result<(), EntitiesError> {
-    for entity in &set.entities {
-        let folder = dir.join(&entity.name);
-        entity.cloud.write_ply(&folder.join("cloud.ply"))?;
-        entity.mesh.write_obj(&folder.join("mesh.obj"))?;
-        if let Some(texture) = &entity.texture {
-            write_textured_obj(&entity.mesh, texture, &folder, TEXTURED)?;
-        }
-        for (i, part) in entity.parts.iter().enumerate() {
-            part.write_obj(&folder.join("parts").join(format!("{i:03}.obj")))?;
-        }
-        let file = EntityFile {
-            label: entity.label,
-            name: entity.name.clone(),
-            description: entity.description.clone(),
-            kind: entity.kind,
-            shape: entity.shape.clone(),
-            parts: entity.parts.len(),
-            observed_share: entity.observed_share,
-            residual_m: entity.residual_m,
-            mean_color: entity.mean_color,
-        };
-        atomic::write_json(&folder.join("entity.json"), &file)?;
-    }
+    set.entities.par_iter().try_for_each(|entity| save_entity(&dir.join(&entity.name), entity))?;
     let index = IndexFile {
         support_height_m: set.support_height,
         joined: set.joined.clone(),
         entities: set.entities.iter().map(|e| e.name.clone()).collect(),
     };
     atomic::write_json(&dir.join("entities.json"), &index)?;
+    Ok(())
+}
+
+fn save_entity(folder: &Path, entity: &Entity) -> Result<(), EntitiesError> {
+    entity.cloud.write_ply(&folder.join("cloud.ply"))?;
+    entity.mesh.write_obj(&folder.join("mesh.obj"))?;
+    if let Some(texture) = &entity.texture {
+        write_textured_obj(&entity.mesh, texture, folder, TEXTURED)?;
+    }
+    for (i, part) in entity.parts.iter().enumerate() {
+        part.write_obj(&folder.join("parts").join(format!("{i:03}.obj")))?;
+    }
+    let file = EntityFile {
+        label: entity.label,
+        name: entity.name.clone(),
+        description: entity.description.clone(),
+        kind: entity.kind,
+        shape: entity.shape.clone(),
+        parts: entity.parts.len(),
+        observed_share: entity.observed_share,
+        residual_m: entity.residual_m,
+        mean_color: entity.mean_color,
+    };
+    atomic::write_json(&folder.join("entity.json"), &file)?;
     Ok(())
 }
 
@@ -79,8 +82,7 @@ pub fn save_entities(dir: &Path, set: &EntitySet) -> Result<(), EntitiesError> {
 pub fn load_entities(dir: &Path) -> Result<EntitySet, EntitiesError> {
     let index_path = dir.join("entities.json");
     let index: IndexFile = atomic::read_json(&index_path)?;
-    let mut entities = Vec::with_capacity(index.entities.len());
-    for name in &index.entities {
+    let load = |name: &String| {
         let plain = std::path::Path::new(name).file_name().is_some_and(|n| n == name.as_str());
         if !plain {
             let what = format!("the entity name `{name}` is not a folder name");
@@ -91,7 +93,7 @@ pub fn load_entities(dir: &Path) -> Result<EntitySet, EntitiesError> {
         let parts: Vec<Mesh> = (0..file.parts)
             .map(|i| Mesh::read_obj(&folder.join("parts").join(format!("{i:03}.obj"))))
             .collect::<Result<_, _>>()?;
-        entities.push(Entity {
+        Ok::<Entity, EntitiesError>(Entity {
             label: file.label,
             name: file.name,
             description: file.description,
@@ -104,7 +106,8 @@ pub fn load_entities(dir: &Path) -> Result<EntitySet, EntitiesError> {
             observed_share: file.observed_share,
             residual_m: file.residual_m,
             mean_color: file.mean_color,
-        });
-    }
+        })
+    };
+    let entities = index.entities.par_iter().map(load).collect::<Result<_, _>>()?;
     Ok(EntitySet { entities, support_height: index.support_height_m, joined: index.joined })
 }

@@ -58,8 +58,20 @@ pub(crate) fn bottom_outline(entity: &Entity) -> Vec<DVec2> {
 
 /// Returns the corners of the part of a piece's surface over or under an outline.
 pub(crate) fn under(part: &Mesh, outline: &[DVec2]) -> Vec<DVec3> {
+    // Most pieces of a scene are beside the outline.
+    let bounds = |points: &mut dyn Iterator<Item = DVec2>| {
+        points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)))
+    };
+    let (low, high) = bounds(&mut outline.iter().copied());
+    let (least, most) = bounds(&mut part.vertices.iter().map(|v| v.truncate()));
+    if least.cmpgt(high).any() || most.cmplt(low).any() {
+        return Vec::new();
+    }
     let mut under: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
     for i in 0..outline.len() {
+        if under.is_empty() {
+            break;
+        }
         let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
         let outward = DVec2::new(b.y - a.y, a.x - b.x).normalize_or_zero();
         under = clip(&under, outward.extend(0.0), outward.dot(a)).0;

@@ -5,18 +5,16 @@
 
 use crate::EntitySet;
 use crate::config::TextureConfig;
-use crate::views::{Sight, Views};
-use glamx::DVec3;
+use crate::texel_colors::TexelColors;
+use crate::views::Views;
 use rayon::prelude::*;
 use sms_core::{ColorImage, Entity, EntityKind, Image, Labels, Mesh, MeshTexture};
 use sms_frames::Sequence;
 
 /// Empty texels around each triangle, so that filtering does not mix neighbours.
 const PAD: usize = 1;
-/// Least cosine between a surface and the direction to a camera that colours it.
-const LEAST_FACING: f64 = 0.2;
-/// A surface is smooth at a vertex if the cosine between the vertex normal and the face normal is at least this.
-const SHARP: f64 = 0.9;
+/// Side of the blocks of texels that choose their views together, texels.
+const BLOCK: usize = 8;
 /// Smallest square, texels.
 const LEAST_SIDE: usize = 6;
 
@@ -33,7 +31,7 @@ pub fn bake_textures(
     if !config.enabled {
         return;
     }
-    let views = Views { sequence, labels };
+    let views = Views::new(sequence, labels);
     let images: Vec<&ColorImage> = sequence
         .frames
         .iter()
@@ -129,18 +127,17 @@ fn bake(entity: &Entity, views: &Views, images: &[&ColorImage], config: &Texture
                 corners.map(|[x, y]| [(x / width as f64) as f32, (1.0 - y / height as f64) as f32]);
         }
     }
-    let baker = Baker { entity, normals: mesh.vertex_normals(), views, images, config };
+    let colors = TexelColors::new(entity, views, images, config.views);
     let pixels: Vec<Vec<[u8; 3]>> = squares
         .par_iter()
         .map(|square| {
-            let texel = |i: usize| {
-                let (x, y) = (i % square.side, i / square.side);
-                let upper = square.triangles.1.filter(|_| x + y + 1 > square.side);
-                let at = [square.x as f64 + x as f64 + 0.5, square.y as f64 + y as f64 + 0.5];
-                let weights = barycentric(at, square.corners(usize::from(upper.is_some())));
-                baker.color_at(upper.unwrap_or(square.triangles.0), weights)
-            };
-            (0..square.side * square.side).map(texel).collect()
+            let side = square.side;
+            let mut pixels = vec![entity.mean_color; side * side];
+            for start in (0..side).step_by(BLOCK).flat_map(|y| (0..side).step_by(BLOCK).map(move |x| (x, y)))
+            {
+                bake_block(square, start, &colors, &mut pixels);
+            }
+            pixels
         })
         .collect();
     let mut image: ColorImage = Image::filled(width, height, entity.mean_color);
@@ -151,6 +148,26 @@ fn bake(entity: &Entity, views: &Views, images: &[&ColorImage], config: &Texture
         }
     }
     MeshTexture { corner_uv, image }
+}
+
+/// Colours the texels of a square from `start` on, for each of its triangles together.
+fn bake_block(square: &Square, start: (usize, usize), colors: &TexelColors, pixels: &mut [[u8; 3]]) {
+    let side = square.side;
+    let (right, bottom) = ((start.0 + BLOCK).min(side), (start.1 + BLOCK).min(side));
+    // The upper right half belongs to the second triangle.
+    let is_upper = |x: usize, y: usize| square.triangles.1.is_some() && x + y + 1 > side;
+    for (half, t) in std::iter::once(square.triangles.0).chain(square.triangles.1).enumerate() {
+        let all = (start.1..bottom).flat_map(|y| (start.0..right).map(move |x| (x, y)));
+        let texels: Vec<(usize, usize)> = all.filter(|&(x, y)| usize::from(is_upper(x, y)) == half).collect();
+        let corners = square.corners(half);
+        let weights_at = |&(x, y): &(usize, usize)| {
+            barycentric([(square.x + x) as f64 + 0.5, (square.y + y) as f64 + 0.5], corners)
+        };
+        let weights: Vec<[f64; 3]> = texels.iter().map(weights_at).collect();
+        for (&(x, y), color) in texels.iter().zip(colors.of_block(t, &weights)) {
+            pixels[y * side + x] = color;
+        }
+    }
 }
 
 /// Returns the weights of a triangle's corners at a point. Outside the triangle they are approximately those of the
@@ -165,90 +182,11 @@ fn barycentric([x, y]: [f64; 2], [a, b, c]: [[f64; 2]; 3]) -> [f64; 3] {
     weights.map(|k| k / sum)
 }
 
-/// Inputs of an object's texture.
-struct Baker<'a> {
-    entity: &'a Entity,
-    /// Normals of the mesh's vertices.
-    normals: Vec<DVec3>,
-    views: &'a Views<'a>,
-    images: &'a [&'a ColorImage],
-    config: &'a TextureConfig,
-}
-
-impl Baker<'_> {
-    /// Returns the colour at a point of triangle `t`: the mean of the closest and most frontal views.
-    fn color_at(&self, t: usize, weights: [f64; 3]) -> [u8; 3] {
-        let Self { entity, normals, views, images, config } = self;
-        let triangle = entity.mesh.triangles[t];
-        let corners = entity.mesh.corners(t);
-        let p: DVec3 = (0..3).map(|k| corners[k] * weights[k]).sum();
-        let smooth =
-            (0..3).map(|k| normals[triangle[k] as usize] * weights[k]).sum::<DVec3>().normalize_or_zero();
-        let flat = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
-        // At a sharp edge, the mean of both normals would choose views of the other face.
-        let n = if smooth.dot(flat) < SHARP { flat } else { smooth };
-        // The best views: quality and colour, best first.
-        const MOST: usize = 8;
-        let keep = config.views.clamp(1, MOST);
-        let mut best = [(0.0f64, [0.0f64; 3]); MOST];
-        for (f, frame) in views.sequence.frames.iter().enumerate() {
-            let towards = frame.camera.center_w() - p;
-            let distance = towards.length();
-            let facing = n.dot(towards) / distance;
-            if facing < LEAST_FACING {
-                continue;
-            }
-            let quality = facing * facing / (distance * distance);
-            if quality <= best[keep - 1].0 || views.sight(f, p) != Sight::Surface(entity.label) {
-                continue;
-            }
-            let Some((u, v, _)) = frame.camera.project(p) else { continue };
-            let k = &frame.camera.intrinsics;
-            let image = images[f];
-            let scale = [image.width as f64 / k.width as f64, image.height as f64 / k.height as f64];
-            let color = sample(image, u * scale[0], v * scale[1]);
-            let at = (0..keep).find(|&i| quality > best[i].0).unwrap_or(keep - 1);
-            best[at..keep].rotate_right(1);
-            best[at] = (quality, color);
-        }
-        let total: f64 = best[..keep].iter().map(|b| b.0).sum();
-        if total > 0.0 {
-            return std::array::from_fn(|c| {
-                (best[..keep].iter().map(|b| b.0 * b.1[c]).sum::<f64>() / total).round().clamp(0.0, 255.0)
-                    as u8
-            });
-        }
-        if entity.mesh.colors.len() != entity.mesh.vertices.len() {
-            return entity.mean_color;
-        }
-        std::array::from_fn(|c| {
-            let of = |k: usize| f64::from(entity.mesh.colors[triangle[k] as usize][c]) * weights[k];
-            (0..3).map(of).sum::<f64>().round() as u8
-        })
-    }
-}
-
-/// Bilinear sample at pixel coordinates (centres at half integers).
-fn sample(image: &ColorImage, u: f64, v: f64) -> [f64; 3] {
-    let (x, y) = (u - 0.5, v - 0.5);
-    let (i, j) = (x.floor(), y.floor());
-    let (fx, fy) = (x - i, y - j);
-    let at = |dx: f64, dy: f64| {
-        let x = (i + dx).clamp(0.0, image.width as f64 - 1.0) as usize;
-        let y = (j + dy).clamp(0.0, image.height as f64 - 1.0) as usize;
-        image[(x, y)]
-    };
-    let (a, b, c, d) = (at(0.0, 0.0), at(1.0, 0.0), at(0.0, 1.0), at(1.0, 1.0));
-    std::array::from_fn(|k| {
-        let row = |p: [u8; 3], q: [u8; 3]| f64::from(p[k]) * (1.0 - fx) + f64::from(q[k]) * fx;
-        row(a, b) * (1.0 - fy) + row(c, d) * fy
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use glamx::DPose3;
+    use glamx::DVec3;
     use proptest::prelude::*;
     use sms_core::{Camera, EntityShape, Intrinsics, LabelMap, MaskSource, PointCloud};
     use sms_frames::Frame;

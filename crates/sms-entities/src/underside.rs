@@ -163,14 +163,13 @@ const UNDER_SHARES: [f64; 4] = [0.0, 0.1, 0.2, 0.35];
 /// Returns whether cameras see a surface of another object at a point, or see through it past the object. Cameras also
 /// see through the inside of a bowl, but see the bowl itself behind it.
 fn is_looked_past(views: &Views, p_w: DVec3, label: u16) -> bool {
-    let frames = views.sequence.frames.len();
-    let needed = if frames < 6 { 1 } else { 2 };
+    let needed = if views.sequence.frames.len() < 6 { 1 } else { 2 };
     let past = |f: &usize| match views.sight(*f, p_w) {
         Sight::Surface(there) => there != label,
         Sight::Free => views.label_at(*f, p_w) != Some(label),
         _ => false,
     };
-    (0..frames).filter(past).take(needed).count() >= needed
+    views.frames_near(p_w).filter(past).take(needed).count() >= needed
 }
 
 /// Returns points along the outline about `spacing` apart.

@@ -1,9 +1,11 @@
 //! Visibility of points: on a surface, in free space, or hidden.
 
+use crate::frame_cells::FrameCells;
 use glamx::DVec3;
 use sms_core::{BACKGROUND, Labels};
 use sms_frames::Sequence;
 use sms_mesh::{PixelUse, median};
+use std::sync::Arc;
 
 /// Visibility of a point in one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,6 +24,7 @@ pub(crate) enum Sight {
 pub(crate) struct Views<'a> {
     pub(crate) sequence: &'a Sequence,
     pub(crate) labels: &'a Labels,
+    cells: Arc<FrameCells>,
 }
 
 /// Returns the expected depth noise (one standard deviation, metres) at depth `z` for common stereo and
@@ -48,7 +51,38 @@ pub(crate) struct SightCount {
     pub(crate) towards: DVec3,
 }
 
-impl Views<'_> {
+impl<'a> Views<'a> {
+    pub(crate) fn new(sequence: &'a Sequence, labels: &'a Labels) -> Self {
+        Self { sequence, labels, cells: Arc::new(FrameCells::of(sequence)) }
+    }
+
+    /// Returns the same frames with other labels.
+    pub(crate) fn relabelled<'b>(&self, labels: &'b Labels) -> Views<'b>
+    where
+        'a: 'b,
+    {
+        Views { sequence: self.sequence, labels, cells: Arc::clone(&self.cells) }
+    }
+
+    /// Returns, in their order, the frames whose image may contain `p_w`. In all others it is [`Sight::Unknown`].
+    pub(crate) fn frames_near(&self, p_w: DVec3) -> impl Iterator<Item = usize> {
+        self.cells.at(p_w).iter().map(|&f| f as usize)
+    }
+
+    /// Returns, in their order, the frames whose image may contain a point of the ball.
+    pub(crate) fn frames_around(&self, center_w: DVec3, radius: f64) -> impl Iterator<Item = usize> {
+        self.cells.around(center_w, radius).iter().map(|&f| f as usize)
+    }
+
+    /// Returns the image-plane coordinates of `p_w` in frame `f`; `None` unless the frame measures a surface with this
+    /// label there.
+    pub(crate) fn image_point(&self, f: usize, p_w: DVec3, label: u16) -> Option<(f64, f64)> {
+        let camera = &self.sequence.frames[f].camera;
+        let (u, v, z) = camera.project(p_w)?;
+        let at = camera.pixel_at(u, v)?;
+        (self.sight_at(f, z, at) == Sight::Surface(label)).then_some((u, v))
+    }
+
     /// Returns the depth of `p_w` in frame `f`, metres, and the pixel that it projects to.
     fn pixel(&self, f: usize, p_w: DVec3) -> Option<(f64, (usize, usize))> {
         let camera = &self.sequence.frames[f].camera;
@@ -58,7 +92,11 @@ impl Views<'_> {
 
     /// Returns the visibility of `p_w` in frame `f`.
     pub(crate) fn sight(&self, f: usize, p_w: DVec3) -> Sight {
-        let Some((z, at)) = self.pixel(f, p_w) else { return Sight::Unknown };
+        self.pixel(f, p_w).map_or(Sight::Unknown, |(z, at)| self.sight_at(f, z, at))
+    }
+
+    /// Returns the visibility of a point at depth `z` (metres) behind pixel `at` of frame `f`.
+    fn sight_at(&self, f: usize, z: f64, at: (usize, usize)) -> Sight {
         let depth = f64::from(self.sequence.frames[f].depth[at]);
         let tolerance = depth_tolerance(z);
         if depth <= 0.0 {
@@ -74,8 +112,7 @@ impl Views<'_> {
 
     /// Returns the number of frames that see through `p_w`, at most `most`.
     pub(crate) fn free_count(&self, p_w: DVec3, most: usize) -> usize {
-        let frames = 0..self.sequence.frames.len();
-        frames.filter(|&f| self.sight(f, p_w) == Sight::Free).take(most).count()
+        self.frames_near(p_w).filter(|&f| self.sight(f, p_w) == Sight::Free).take(most).count()
     }
 
     /// Returns the label of the pixel that `p_w` projects to in frame `f`, without a depth test.
@@ -86,7 +123,7 @@ impl Views<'_> {
     /// Counts over all frames how they see `p_w`, for an object with this label.
     pub(crate) fn count(&self, p_w: DVec3, label: u16) -> SightCount {
         let mut count = SightCount::default();
-        for f in 0..self.sequence.frames.len() {
+        for f in self.frames_near(p_w) {
             match self.sight(f, p_w) {
                 Sight::Surface(seen) => {
                     count.own += usize::from(seen == label);
@@ -101,17 +138,18 @@ impl Views<'_> {
         count
     }
 
-    /// Returns whether most frames see a nearer surface than `p_w`, and none sees a surface with this label at `p_w`.
-    /// Surfaces without depth (glass) may be there.
+    /// Returns whether most frames with `p_w` in their image see a nearer surface, and none sees a surface with this
+    /// label at `p_w`. Surfaces without depth (glass) may be there.
     pub(crate) fn is_inside(&self, p_w: DVec3, label: u16) -> bool {
-        let frames = self.sequence.frames.len();
-        let mut hidden = 0;
-        for f in 0..frames {
+        let (mut hidden, mut frames) = (0, 0);
+        for f in self.frames_near(p_w) {
             match self.sight(f, p_w) {
                 Sight::Surface(seen) if seen == label => return false,
                 Sight::Hidden => hidden += 1,
+                Sight::Unknown if self.pixel(f, p_w).is_none() => continue,
                 _ => {}
             }
+            frames += 1;
         }
         2 * hidden > frames
     }
@@ -148,7 +186,8 @@ impl Views<'_> {
     /// that label the pixel `label` and measure less than a centimetre. Returns `None` with fewer than three frames.
     pub(crate) fn surface_offset(&self, p_w: DVec3, normal: DVec3, label: u16) -> Option<f64> {
         let mut offsets = Vec::new();
-        for (f, frame) in self.sequence.frames.iter().enumerate() {
+        for f in self.frames_near(p_w) {
+            let frame = &self.sequence.frames[f];
             let Some((_, at)) = self.pixel(f, p_w) else { continue };
             let depth = f64::from(frame.depth[at]);
             let towards = (frame.camera.center_w() - p_w).normalize_or_zero();
@@ -176,7 +215,7 @@ mod tests {
     #[test]
     fn what_lies_below_a_surface_is_inside_and_what_has_no_depth_may_be_there() {
         let (sequence, labels) = over_plate(3, 80);
-        let views = Views { sequence: &sequence, labels: &labels };
+        let views = Views::new(&sequence, &labels);
         let at = |column: f64, z: f64| {
             let p = sequence.frames[0].camera.unproject_pixel(column as usize, 50, 1.0 - z);
             p.with_z(z)
