@@ -53,19 +53,20 @@ pub(crate) fn label_discs(
     config: &EntitiesConfig,
 ) -> Vec<SurfaceDisc> {
     let mut discs = Vec::new();
-    for i in 0..model.len() {
-        let usable = model.labels[i] == label
+    let is_usable = |i: &usize| {
+        let i = *i;
+        model.labels[i] == label
             && model.is_measured(i)
             && f64::from(model.label_confidence[i]) >= config.min_confidence
             && f64::from(model.opacities[i]) >= config.min_opacity
             && model.positions_w[i].is_finite()
-            && model.scales[i].is_finite();
-        if !usable {
-            continue;
-        }
-        let center = model.positions_w[i].as_dvec3();
+            && model.scales[i].is_finite()
+    };
+    let usable: Vec<usize> = (0..model.len()).filter(is_usable).collect();
+    let centers: Vec<DVec3> = usable.iter().map(|&i| model.positions_w[i].as_dvec3()).collect();
+    let counts = views.counts(&centers, label);
+    for ((i, center), count) in usable.into_iter().zip(centers).zip(counts) {
         let (normal, axes) = model.disc(i);
-        let count = views.count(center, label);
         let seen = count.own + count.other;
         if count.free > seen || (seen >= 2 && count.own * 10 < seen * 3) {
             continue;
@@ -219,8 +220,9 @@ fn sample(
     }
     let normals: Vec<DVec3> = owner.iter().map(|&i| discs[i].normal).collect();
     let mut cloud = PointCloud::default();
-    for i in thin(&points, &normals, 0.8 * spacing) {
-        let count = views.count(points[i], label);
+    let kept = thin(&points, &normals, 0.8 * spacing);
+    let counts = views.counts(&kept.iter().map(|&i| points[i]).collect::<Vec<_>>(), label);
+    for (i, count) in kept.into_iter().zip(counts) {
         if count.free > count.own || (count.other > count.own && count.own < 3) {
             continue;
         }
@@ -243,10 +245,10 @@ pub(crate) fn densify(
     let mut cloud = sample(discs, views, label, spacing, config, seed);
     if config.refine_to_depth {
         for _ in 0..2 {
-            for i in 0..cloud.points_w.len() {
-                let (p, n) = (cloud.points_w[i], cloud.normals_w[i]);
-                if let Some(offset) = views.surface_offset(p, n, label) {
-                    cloud.points_w[i] = p + n * offset;
+            let offsets = views.surface_offsets(&cloud.points_w, &cloud.normals_w, label);
+            for ((p, n), offset) in cloud.points_w.iter_mut().zip(&cloud.normals_w).zip(offsets) {
+                if let Some(offset) = offset {
+                    *p += n * offset;
                 }
             }
             smooth_normals(&mut cloud, (2.0 * spacing).max(NORMAL_RADIUS_M));

@@ -7,13 +7,18 @@ use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::Aabb;
 use sms_frames::Sequence;
+use sms_mesh::quantile;
 
-/// Largest number of cells: 875 frames take a second and 20 MB.
+/// Approximate number of cells: 875 frames of a room take a second and 20 MB.
 const MOST_CELLS: f64 = 32_768.0;
+/// Approximate number of pairs of a cell and a frame; each takes up to four bytes.
+const MOST_PAIRS: f64 = 32e6;
 /// Smallest side of a cell, metres. Neighbouring points of a small object share their frames.
 const LEAST_SIDE_M: f64 = 0.1;
 /// Cells also count what is this far outside them, metres.
 const AROUND_M: f64 = 0.02;
+/// Share of the samples on each side of each axis that may be outside the cells.
+const OUTLIERS: f64 = 0.005;
 /// Samples of a frame's depth in each direction, for the extent of the scene.
 const SAMPLES: usize = 16;
 
@@ -30,12 +35,13 @@ pub(crate) struct FrameCells {
 }
 
 impl FrameCells {
-    /// Returns cells around all that was measured.
+    /// Returns cells around most of what was measured.
     pub(crate) fn of(sequence: &Sequence) -> Self {
         let all: Vec<u32> = (0..sequence.len() as u32).collect();
         let bounds = extent(sequence).unwrap_or(Aabb { min: DVec3::ZERO, max: DVec3::ZERO });
         let size = bounds.max - bounds.min + 2.0 * LEAST_SIDE_M;
-        let side_m = (size.element_product() / MOST_CELLS).cbrt().max(LEAST_SIDE_M);
+        let most = MOST_CELLS.min(MOST_PAIRS / sequence.len().max(1) as f64);
+        let side_m = (size.element_product() / most).cbrt().max(LEAST_SIDE_M);
         let count = size.to_array().map(|s| (s / side_m).ceil() as usize);
         let origin_w = bounds.min - LEAST_SIDE_M;
         let radius = 0.5 * side_m * 3f64.sqrt() + AROUND_M;
@@ -43,7 +49,9 @@ impl FrameCells {
             let at = [i % count[0], i / count[0] % count[1], i / count[0] / count[1]];
             let center_w = origin_w + side_m * DVec3::from_array(at.map(|k| k as f64 + 0.5));
             let shows = |f: &u32| sequence.frames[*f as usize].camera.may_see(center_w, radius);
-            all.iter().copied().filter(shows).collect()
+            let mut frames: Vec<u32> = all.iter().copied().filter(shows).collect();
+            frames.shrink_to_fit();
+            frames
         };
         let cells = (0..count.iter().product()).into_par_iter().map(cell).collect();
         Self { origin_w, side_m, count, cells, all }
@@ -67,7 +75,7 @@ impl FrameCells {
     }
 }
 
-/// Returns the box around a sample of the measured points, or `None` if nothing was measured.
+/// Returns the box around most of a sample of the measured points, or `None` if nothing was measured.
 fn extent(sequence: &Sequence) -> Option<Aabb> {
     let points = sequence.frames.iter().flat_map(|frame| {
         let (width, height) = frame.depth.size();
@@ -78,7 +86,14 @@ fn extent(sequence: &Sequence) -> Option<Aabb> {
             (depth > 0.0).then(|| frame.camera.unproject_pixel(x, y, depth))
         })
     });
-    Aabb::of_points(points)
+    let points: Vec<DVec3> = points.collect();
+    if points.is_empty() {
+        return None;
+    }
+    // A single false depth would make all cells wide.
+    let at =
+        |share: f64| DVec3::from([0, 1, 2].map(|k| quantile(points.iter().map(|p| p[k]).collect(), share)));
+    Some(Aabb { min: at(OUTLIERS), max: at(1.0 - OUTLIERS) })
 }
 
 #[cfg(test)]

@@ -37,6 +37,7 @@ mod mesher;
 #[cfg(test)]
 mod mesher_tests;
 mod piece;
+mod places;
 mod queries;
 mod recognise;
 mod relabel;

@@ -4,7 +4,6 @@ use crate::config::{EntitiesConfig, MeshRule};
 use crate::hollow::hidden_inside;
 use crate::views::Views;
 use glamx::DVec3;
-use rayon::prelude::*;
 use sms_core::{Mesh, PointCloud, polyhedron_mass_properties};
 use sms_mesh::{
     Plane, PointGrid, convex_hull, decimate, taubin,
@@ -106,11 +105,9 @@ fn vote(tetrahedra: &Tetrahedralization, normals: &[DVec3], input: &MeshInput) -
     let mut votes = tetra::normal_votes(tetrahedra, normals);
     if let Some(views) = input.views {
         let frames = views.sequence.frames.len();
-        let free: Vec<usize> = (0..votes.len())
-            .into_par_iter()
-            .map(|t| views.free_count(tetrahedra.corners(t).iter().sum::<DVec3>() / 4.0, FREE_MOST + 1))
-            .collect();
-        for (vote, free) in votes.iter_mut().zip(free) {
+        let middle = |t: usize| tetrahedra.corners(t).iter().sum::<DVec3>() / 4.0;
+        let middles: Vec<DVec3> = (0..votes.len()).map(middle).collect();
+        for (vote, free) in votes.iter_mut().zip(views.free_counts(&middles, FREE_MOST + 1)) {
             // A single camera may be wrong at a depth edge; free space needs two.
             if free >= 2 || (free == 1 && frames < 6) {
                 *vote -= FREE_VOTE * free.min(FREE_MOST) as f64;

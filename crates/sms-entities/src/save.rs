@@ -108,6 +108,8 @@ pub fn load_entities(dir: &Path) -> Result<EntitySet, EntitiesError> {
             mean_color: file.mean_color,
         })
     };
-    let entities = index.entities.par_iter().map(load).collect::<Result<_, _>>()?;
+    // The first error of the list, whichever comes first in time.
+    let entities: Vec<_> = index.entities.par_iter().map(load).collect();
+    let entities = entities.into_iter().collect::<Result<_, _>>()?;
     Ok(EntitySet { entities, support_height: index.support_height_m, joined: index.joined })
 }

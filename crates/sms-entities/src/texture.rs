@@ -185,8 +185,7 @@ fn barycentric([x, y]: [f64; 2], [a, b, c]: [[f64; 2]; 3]) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glamx::DPose3;
-    use glamx::DVec3;
+    use glamx::{DPose3, DVec3};
     use proptest::prelude::*;
     use sms_core::{Camera, EntityShape, Intrinsics, LabelMap, MaskSource, PointCloud};
     use sms_frames::Frame;

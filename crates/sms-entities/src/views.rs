@@ -1,6 +1,7 @@
 //! Visibility of points: on a surface, in free space, or hidden.
 
 use crate::frame_cells::FrameCells;
+use crate::places::ask_frames;
 use glamx::DVec3;
 use sms_core::{BACKGROUND, Labels};
 use sms_frames::Sequence;
@@ -36,6 +37,34 @@ pub(crate) fn depth_sigma(z: f64) -> f64 {
 /// Returns the difference in depth that separates two surfaces, metres.
 pub(crate) fn depth_tolerance(z: f64) -> f64 {
     (3.0 * depth_sigma(z)).max(0.004)
+}
+
+/// A pixel near the image of a ball: its measured depth (0 without one) and label, and the depths of the ball.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct NearPixel {
+    pub(crate) depth: f64,
+    pub(crate) label: u16,
+    /// Least depth of the ball, metres.
+    pub(crate) nearest: f64,
+    /// Greatest depth of the ball, metres.
+    pub(crate) farthest: f64,
+}
+
+impl NearPixel {
+    /// Returns whether a point of the ball may lie on the surface measured here, or cameras may see through it.
+    pub(crate) fn may_be_seen(&self) -> bool {
+        self.depth > 0.0 && self.depth >= self.nearest - depth_tolerance(self.farthest)
+    }
+
+    /// Returns whether a point of the ball may lie on the surface measured here.
+    pub(crate) fn may_be_on_surface(&self) -> bool {
+        self.may_be_seen() && self.depth <= self.farthest + depth_tolerance(self.farthest)
+    }
+
+    /// Returns whether cameras may see through a point of the ball.
+    pub(crate) fn may_be_free(&self) -> bool {
+        self.depth > self.nearest + depth_tolerance(self.nearest)
+    }
 }
 
 /// Totals over all frames.
@@ -74,6 +103,53 @@ impl<'a> Views<'a> {
         self.cells.around(center_w, radius).iter().map(|&f| f as usize)
     }
 
+    /// Returns, in their order, all frames with a wanted pixel around the image of the ball, and others.
+    pub(crate) fn frames_with(
+        &self,
+        center_w: DVec3,
+        radius: f64,
+        is_wanted: impl Fn(NearPixel) -> bool,
+    ) -> Vec<usize> {
+        let frames = self.frames_around(center_w, radius);
+        frames.filter(|&f| self.has_near_pixel(f, center_w, radius, &is_wanted)).collect()
+    }
+
+    /// Returns whether frame `f` has a wanted pixel around the image of the ball. Also `true` if the camera is in the ball, and
+    /// if there are many pixels.
+    pub(crate) fn has_near_pixel(
+        &self,
+        f: usize,
+        center_w: DVec3,
+        radius: f64,
+        is_wanted: impl Fn(NearPixel) -> bool,
+    ) -> bool {
+        /// More pixels are not looked at one by one.
+        const MOST_PIXELS: usize = 400;
+        let (frame, map) = (&self.sequence.frames[f], &self.labels.maps[f]);
+        let (k, center_c) = (&frame.camera.intrinsics, frame.camera.x_wc.inverse_transform_point(center_w));
+        let (nearest, farthest) = (center_c.z - radius, center_c.z + radius);
+        if nearest <= 0.0 {
+            return true;
+        }
+        let range = |focal: f64, middle: f64, across: f64, size: usize| {
+            let at = focal * across / center_c.z + middle;
+            // The image of the ball ends nowhere farther out; the rest is for rounding.
+            let reach = focal * radius * across.hypot(center_c.z) / (center_c.z * nearest) + 1e-6;
+            (at - reach).max(0.0) as usize..((at + reach + 1.0).max(0.0) as usize).min(size)
+        };
+        let columns = range(k.fx, k.cx, center_c.x, k.width);
+        let rows = range(k.fy, k.cy, center_c.y, k.height);
+        if columns.len() * rows.len() > MOST_PIXELS {
+            return true;
+        }
+        rows.into_iter().any(|y| {
+            columns.clone().any(|x| {
+                let (depth, label) = (f64::from(frame.depth[(x, y)]), map[(x, y)]);
+                is_wanted(NearPixel { depth, label, nearest, farthest })
+            })
+        })
+    }
+
     /// Returns the image-plane coordinates of `p_w` in frame `f`; `None` unless the frame measures a surface with this
     /// label there.
     pub(crate) fn image_point(&self, f: usize, p_w: DVec3, label: u16) -> Option<(f64, f64)> {
@@ -99,7 +175,7 @@ impl<'a> Views<'a> {
     fn sight_at(&self, f: usize, z: f64, at: (usize, usize)) -> Sight {
         let depth = f64::from(self.sequence.frames[f].depth[at]);
         let tolerance = depth_tolerance(z);
-        if depth <= 0.0 {
+        if depth.is_nan() || depth <= 0.0 {
             Sight::Unknown
         } else if depth > z + tolerance {
             Sight::Free
@@ -112,7 +188,21 @@ impl<'a> Views<'a> {
 
     /// Returns the number of frames that see through `p_w`, at most `most`.
     pub(crate) fn free_count(&self, p_w: DVec3, most: usize) -> usize {
-        self.frames_near(p_w).filter(|&f| self.sight(f, p_w) == Sight::Free).take(most).count()
+        self.free_count_in(self.frames_near(p_w), p_w, most)
+    }
+
+    /// Returns [`Self::free_count`] of every point.
+    pub(crate) fn free_counts(&self, points_w: &[DVec3], most: usize) -> Vec<usize> {
+        ask_frames(
+            points_w,
+            self,
+            |pixel| pixel.may_be_free(),
+            |i, frames| self.free_count_in(frames.iter().copied(), points_w[i], most),
+        )
+    }
+
+    fn free_count_in(&self, frames: impl Iterator<Item = usize>, p_w: DVec3, most: usize) -> usize {
+        frames.filter(|&f| self.sight(f, p_w) == Sight::Free).take(most).count()
     }
 
     /// Returns the label of the pixel that `p_w` projects to in frame `f`, without a depth test.
@@ -122,8 +212,22 @@ impl<'a> Views<'a> {
 
     /// Counts over all frames how they see `p_w`, for an object with this label.
     pub(crate) fn count(&self, p_w: DVec3, label: u16) -> SightCount {
+        self.count_in(self.frames_near(p_w), p_w, label)
+    }
+
+    /// Returns [`Self::count`] of every point.
+    pub(crate) fn counts(&self, points_w: &[DVec3], label: u16) -> Vec<SightCount> {
+        ask_frames(
+            points_w,
+            self,
+            |pixel| pixel.may_be_seen(),
+            |i, frames| self.count_in(frames.iter().copied(), points_w[i], label),
+        )
+    }
+
+    fn count_in(&self, frames: impl Iterator<Item = usize>, p_w: DVec3, label: u16) -> SightCount {
         let mut count = SightCount::default();
-        for f in self.frames_near(p_w) {
+        for f in frames {
             match self.sight(f, p_w) {
                 Sight::Surface(seen) => {
                     count.own += usize::from(seen == label);
@@ -143,15 +247,16 @@ impl<'a> Views<'a> {
     pub(crate) fn is_inside(&self, p_w: DVec3, label: u16) -> bool {
         let (mut hidden, mut frames) = (0, 0);
         for f in self.frames_near(p_w) {
-            match self.sight(f, p_w) {
+            let Some((z, at)) = self.pixel(f, p_w) else { continue };
+            frames += 1;
+            match self.sight_at(f, z, at) {
                 Sight::Surface(seen) if seen == label => return false,
                 Sight::Hidden => hidden += 1,
-                Sight::Unknown if self.pixel(f, p_w).is_none() => continue,
                 _ => {}
             }
-            frames += 1;
         }
-        2 * hidden > frames
+        // A single frame may be wrong at a depth edge.
+        2 * hidden > frames && hidden >= self.sequence.len().min(2)
     }
 
     /// Returns the use of each pixel of frame `f` for the unlabelled surface. Only pixels with unlabelled neighbours
@@ -182,11 +287,25 @@ impl<'a> Views<'a> {
             .collect()
     }
 
-    /// Returns the median signed distance along `normal` from `p_w` to the surface measured at its pixel, over frames
-    /// that label the pixel `label` and measure less than a centimetre. Returns `None` with fewer than three frames.
-    pub(crate) fn surface_offset(&self, p_w: DVec3, normal: DVec3, label: u16) -> Option<f64> {
+    /// Returns for every point, with its normal, the median signed distance along the normal to the surface measured at its
+    /// pixel, over frames that label the pixel `label` and measure less than a centimetre; `None` with fewer than three.
+    pub(crate) fn surface_offsets(
+        &self,
+        points_w: &[DVec3],
+        normals: &[DVec3],
+        label: u16,
+    ) -> Vec<Option<f64>> {
+        ask_frames(
+            points_w,
+            self,
+            |pixel| pixel.label == label && pixel.depth > 0.0,
+            |i, frames| self.surface_offset_in(frames, points_w[i], normals[i], label),
+        )
+    }
+
+    fn surface_offset_in(&self, frames: &[usize], p_w: DVec3, normal: DVec3, label: u16) -> Option<f64> {
         let mut offsets = Vec::new();
-        for f in self.frames_near(p_w) {
+        for &f in frames {
             let frame = &self.sequence.frames[f];
             let Some((_, at)) = self.pixel(f, p_w) else { continue };
             let depth = f64::from(frame.depth[at]);
