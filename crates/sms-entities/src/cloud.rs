@@ -53,8 +53,7 @@ pub(crate) fn label_discs(
     config: &EntitiesConfig,
 ) -> Vec<SurfaceDisc> {
     let mut discs = Vec::new();
-    let is_usable = |i: &usize| {
-        let i = *i;
+    let is_usable = |&i: &usize| {
         model.labels[i] == label
             && model.is_measured(i)
             && f64::from(model.label_confidence[i]) >= config.min_confidence

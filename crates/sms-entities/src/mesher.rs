@@ -104,12 +104,10 @@ fn is_wide(inertia: glamx::DMat3) -> bool {
 fn vote(tetrahedra: &Tetrahedralization, normals: &[DVec3], input: &MeshInput) -> Vec<bool> {
     let mut votes = tetra::normal_votes(tetrahedra, normals);
     if let Some(views) = input.views {
-        let frames = views.sequence.frames.len();
         let middle = |t: usize| tetrahedra.corners(t).iter().sum::<DVec3>() / 4.0;
         let middles: Vec<DVec3> = (0..votes.len()).map(middle).collect();
         for (vote, free) in votes.iter_mut().zip(views.free_counts(&middles, FREE_MOST + 1)) {
-            // A single camera may be wrong at a depth edge; free space needs two.
-            if free >= 2 || (free == 1 && frames < 6) {
+            if free >= views.enough_frames() {
                 *vote -= FREE_VOTE * free.min(FREE_MOST) as f64;
             }
         }

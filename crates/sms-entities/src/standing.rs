@@ -1,10 +1,10 @@
 //! Objects that stand on each other: their bottoms and the pieces below them.
 
-use crate::piece::is_exact;
+use crate::piece::{are_apart, is_exact};
 use glamx::{DVec2, DVec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::ConvexPolyhedron;
-use sms_core::{Entity, EntityKind, EntityShape, Mesh};
+use sms_core::{Aabb, Entity, EntityKind, EntityShape, Mesh};
 use sms_mesh::clip;
 use sms_mesh::outline::{is_within, outline_of};
 
@@ -59,19 +59,13 @@ pub(crate) fn bottom_outline(entity: &Entity) -> Vec<DVec2> {
 /// Returns the corners of the part of a piece's surface over or under an outline.
 pub(crate) fn under(part: &Mesh, outline: &[DVec2]) -> Vec<DVec3> {
     // Most pieces of a scene are beside the outline.
-    let bounds = |points: &mut dyn Iterator<Item = DVec2>| {
-        points.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)))
-    };
-    let (low, high) = bounds(&mut outline.iter().copied());
-    let (least, most) = bounds(&mut part.vertices.iter().map(|v| v.truncate()));
-    if least.cmpgt(high).any() || most.cmplt(low).any() {
+    let points = outline.iter().flat_map(|p| [f64::MIN, f64::MAX].map(|z| p.extend(z)));
+    let (Some(column), Some(bounds)) = (Aabb::of_points(points), part.aabb()) else { return Vec::new() };
+    if are_apart(&column, &bounds) {
         return Vec::new();
     }
     let mut under: Vec<[DVec3; 3]> = (0..part.triangles.len()).map(|t| part.corners(t)).collect();
     for i in 0..outline.len() {
-        if under.is_empty() {
-            break;
-        }
         let (a, b) = (outline[i], outline[(i + 1) % outline.len()]);
         let outward = DVec2::new(b.y - a.y, a.x - b.x).normalize_or_zero();
         under = clip(&under, outward.extend(0.0), outward.dot(a)).0;

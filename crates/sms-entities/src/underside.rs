@@ -163,7 +163,7 @@ const UNDER_SHARES: [f64; 4] = [0.0, 0.1, 0.2, 0.35];
 /// Returns whether cameras see a surface of another object at a point, or see through it past the object. Cameras also
 /// see through the inside of a bowl, but see the bowl itself behind it.
 fn is_looked_past(views: &Views, p_w: DVec3, label: u16) -> bool {
-    let needed = if views.sequence.frames.len() < 6 { 1 } else { 2 };
+    let needed = views.enough_frames();
     let past = |f: &usize| match views.sight(*f, p_w) {
         Sight::Surface(there) => there != label,
         Sight::Free => views.label_at(*f, p_w) != Some(label),

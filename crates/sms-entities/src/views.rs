@@ -186,6 +186,12 @@ impl<'a> Views<'a> {
         }
     }
 
+    /// Returns the number of frames that must see through a place to believe them: a single one may be wrong at a depth
+    /// edge, but a short recording has no second.
+    pub(crate) fn enough_frames(&self) -> usize {
+        if self.sequence.len() < 6 { 1 } else { 2 }
+    }
+
     /// Returns the number of frames that see through `p_w`, at most `most`.
     pub(crate) fn free_count(&self, p_w: DVec3, most: usize) -> usize {
         self.free_count_in(self.frames_near(p_w), p_w, most)
