@@ -23,7 +23,7 @@ use super::seeding::{AffinityCodes, seed_frame};
 use super::settings::{SettingsHash, settings_hash};
 use super::so_far::SoFar;
 use super::stages::StageSeconds;
-use super::unmeasured::seed_unmeasured;
+use super::unmeasured::{seed_unmeasured, uncovered};
 use crate::{FrameId, GaussianModel, StepBatch, StepStats, Trainer, TrainerError};
 use glamx::Vec3;
 use rand::RngExt;
@@ -353,12 +353,22 @@ impl<'a> Schedule<'a> {
         self.trainer.insert(&seedlings);
         if self.config.seeding.unmeasured {
             self.place.measured = Some(seedlings.len());
-            for (slot, (frame, labels)) in labelled.iter().enumerate() {
+            let mut open = Vec::with_capacity(frames.len());
+            for frame in &frames {
+                self.cancel.check()?;
+                let rendered = self.trainer.render(&frame.camera);
+                open.push(uncovered(frame, &rendered, self.config));
+                self.trainer.recycle(rendered);
+            }
+            for (slot, ((frame, labels), open)) in labelled.iter().zip(&open).enumerate() {
+                if open.is_empty() {
+                    continue;
+                }
                 self.cancel.check()?;
                 let rendered = self.trainer.render(&frame.camera);
                 let seed = self.seed.derive_index("unmeasured", slot as u64);
                 let labels = (*labels, &self.codes);
-                let seedlings = seed_unmeasured(frame, labels, &rendered, &frames, self.config, seed);
+                let seedlings = seed_unmeasured((frame, open), labels, &rendered, &frames, self.config, seed);
                 self.trainer.recycle(rendered);
                 self.trainer.insert(&seedlings);
             }

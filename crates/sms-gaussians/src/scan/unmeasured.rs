@@ -23,13 +23,23 @@ const STEP: f64 = 1.05;
 const STEPS: usize = 24;
 /// Least difference of a colour channel (0 to 1) that needs a Gaussian: about ten times the noise of a camera.
 const LEAST_DIFFERENCE: f32 = 0.05;
+/// The fused surface covers a pixel if one of its discs, not trained yet, lies within this number of standard deviations.
+const COVERED_SIGMAS: f32 = 1.5;
 /// Depths within this ratio belong to one surface.
 const SAME_SURFACE: f32 = 1.1;
 
-/// Returns Gaussians for the pixels of `frame` without depth that the Gaussians do not cover (`rendered`). `frames` are all frames
-/// that are trained on.
+/// Returns the pixels of `frame` without depth that the fused surface does not cover (`rendered`): where other frames measured
+/// a surface, nothing is missing.
+pub(crate) fn uncovered(frame: &Frame, rendered: &RenderedMaps, config: &ScanConfig) -> Vec<usize> {
+    let covered = config.seeding.opacity * (-0.5 * COVERED_SIGMAS * COVERED_SIGMAS).exp();
+    let is_open = |i: &usize| frame.depth.data[*i] <= 0.0 && rendered.alpha[*i] < covered;
+    (0..frame.depth.data.len()).filter(is_open).collect()
+}
+
+/// Returns Gaussians for the `uncovered` pixels of `frame` that the Gaussians so far leave open (`rendered`). `frames` are
+/// all frames that are trained on.
 pub(crate) fn seed_unmeasured(
-    frame: &Frame,
+    (frame, uncovered): (&Frame, &[usize]),
     (labels, codes): (&LabelMap, &AffinityCodes),
     rendered: &RenderedMaps,
     frames: &[&Frame],
@@ -40,10 +50,10 @@ pub(crate) fn seed_unmeasured(
     let (width, height) = frame.depth.size();
     let Some(filled) = fill(&frame.depth) else { return Vec::new() };
     let mut rng = seed.derive("order").rng();
-    let mut order: Vec<usize> = (0..width * height)
-        .filter(|&i| frame.depth.data[i] <= 0.0 && rendered.alpha[i] < settings.alpha_below)
-        .filter(|&i| differs(rendered.color[i], frame.color.data[i]))
-        .collect();
+    let is_open = |i: &usize| {
+        rendered.alpha[*i] < settings.alpha_below && differs(rendered.color[*i], frame.color.data[*i])
+    };
+    let mut order: Vec<usize> = uncovered.iter().copied().filter(is_open).collect();
     order.shuffle(&mut rng);
     let spacing_px = COARSER * settings.spacing_px;
     let mut taken = Image::filled(width, height, false);
