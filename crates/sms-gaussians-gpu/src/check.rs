@@ -76,7 +76,7 @@ pub fn self_check(choice: AdapterChoice) -> Result<SelfCheck, GpuError> {
         .map(|(_, spread)| spread)
         .reduce(|a, b| ErrorSpread { p999: a.p999.max(b.p999), max: a.max.max(b.max) })
         .unwrap_or(worst);
-    let rates = LearningRates { harmonics: 2e-3, rim: 1e-4, ..LearningRates::default() };
+    let rates = LearningRates { harmonics: 2e-3, off_plane: 0.3, ..LearningRates::default() };
     gpu.set_rates(&rates);
     cpu.set_rates(&rates);
     let frames: Vec<usize> = (0..STEPS).map(|i| i % 2).collect();

@@ -77,7 +77,7 @@ fn images_equal_the_cpu_and_the_oracle() {
 
 /// Settings that train view-dependent colour too.
 fn directed() -> TrainConfig {
-    let rates = LearningRates { harmonics: 2e-3, rim: 1e-4, ..LearningRates::default() };
+    let rates = LearningRates { harmonics: 2e-3, off_plane: 0.3, ..LearningRates::default() };
     TrainConfig { rates, ..TrainConfig::default() }
 }
 

@@ -29,7 +29,7 @@ pub(crate) struct Step {
     pub(crate) background: [f32; 4],
     pub(crate) rates: [f32; 4],
     pub(crate) more_rates: [f32; 4],
-    pub(crate) rim_rate: [f32; 4],
+    pub(crate) off_plane: [f32; 4],
 }
 
 const _: () = assert!(size_of::<Step>() as u64 <= STRIDE);
@@ -85,7 +85,7 @@ impl Step {
         let r = &config.rates;
         self.rates = [r.position, r.rotation, r.log_scale, r.opacity];
         self.more_rates = [r.color, r.affinity, r.classifier, r.harmonics];
-        self.rim_rate = [r.rim, 0.0, 0.0, 0.0];
+        self.off_plane = [r.off_plane, 0.0, 0.0, 0.0];
         let segmented = w.segmentation > 0.0 && pixels.labelled > 0;
         self.counts[3] = match config.depth_term {
             DepthTerm::Normalized => DEPTH_NORMALIZED,

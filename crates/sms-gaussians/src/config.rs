@@ -38,9 +38,9 @@ pub struct LearningRates {
     pub log_scale: f32,
     /// Quaternion components.
     pub rotation: f32,
-    /// Upper bound on the rate of quaternion components times the largest standard deviation, metres, so that the rim of a large disc
-    /// does not move more than that of a small one. The default of 1 limits nothing.
-    pub rim: f32,
+    /// Share (0 to 1) of the steps out of the plane of a disc: of positions along its normal, and of turns about axes in its plane.
+    /// With 0, discs remain on the surface that they were placed on.
+    pub off_plane: f32,
     /// Logits of the opacities.
     pub opacity: f32,
     /// Colours.
@@ -54,14 +54,14 @@ pub struct LearningRates {
 }
 
 impl LearningRates {
-    /// All rates times `share`.
+    /// All rates times `share`; `off_plane` is no rate and remains.
     #[must_use]
     pub fn scaled(&self, share: f32) -> Self {
         Self {
             position: self.position * share,
             log_scale: self.log_scale * share,
             rotation: self.rotation * share,
-            rim: self.rim * share,
+            off_plane: self.off_plane,
             opacity: self.opacity * share,
             color: self.color * share,
             harmonics: self.harmonics * share,
@@ -77,7 +77,7 @@ impl Default for LearningRates {
             position: 1e-4,
             log_scale: 5e-3,
             rotation: 2e-3,
-            rim: 1.0,
+            off_plane: 1.0,
             opacity: 0.05,
             color: 2.5e-3,
             harmonics: 0.0,

@@ -40,6 +40,12 @@ pub struct Row(pub [f32; ROW]);
 impl Row {
     /// All zeros.
     pub const ZERO: Self = Self([0.0; ROW]);
+
+    /// Index of the shortest axis: the normal of a disc.
+    pub(crate) fn shortest_axis(&self) -> usize {
+        let log_scale = &self.0[LOG_SCALE..LOGIT_OPACITY];
+        (0..3).min_by(|&a, &b| log_scale[a].total_cmp(&log_scale[b])).unwrap_or(2)
+    }
 }
 
 /// A flat array with its Adam moments.

@@ -43,7 +43,7 @@ fn trainer(form: SimdForm, share: f32) -> CpuTrainer {
         position: 0.0,
         log_scale: 0.0,
         rotation: 0.0,
-        rim: 1.0,
+        off_plane: 1.0,
         opacity: 0.0,
         color: 0.0,
         harmonics: 0.0,

@@ -31,8 +31,8 @@ struct Step {
     rates: vec4f,
     // Learning rates: colour, affinity, classifier, view-dependent colour.
     more_rates: vec4f,
-    // Upper bound on the rate of rotation times the largest scale, and three unused numbers.
-    rim_rate: vec4f,
+    // Share of the step out of the plane of a disc, and three unused numbers.
+    off_plane: vec4f,
 }
 
 @group(1) @binding(0) var<uniform> u: Step;

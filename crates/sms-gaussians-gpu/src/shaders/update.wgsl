@@ -36,6 +36,11 @@ fn main(
     }
 }
 
+// Product of quaternions.
+fn product(a: vec4f, b: vec4f) -> vec4f {
+    return vec4f(a.w * b.xyz + b.w * a.xyz + cross(a.xyz, b.xyz), a.w * b.w - dot(a.xyz, b.xyz));
+}
+
 // Moves one Gaussian; returns its isotropic and flatness terms, metres.
 fn descend(g: u32) -> vec2f {
     let row = ROW_VECTORS * g;
@@ -122,8 +127,16 @@ fn descend(g: u32) -> vec2f {
     let r = u.rates;
     let c = u.more_rates;
     var p0 = adam(place, moments[first], moments[second], d_place, vec4f(r.xxx, r.w), correction);
-    let turn = min(r.y, u.rim_rate.x / max(m.scale.x, max(m.scale.y, m.scale.z)));
-    var p1 = adam(rotation, moments[first + 1u], moments[second + 1u], d_rotation, vec4f(turn), correction);
+    var p1 = adam(rotation, moments[first + 1u], moments[second + 1u], d_rotation, vec4f(r.y), correction);
+    let off_plane = u.off_plane.x;
+    if (off_plane < 1.0) {
+        // Reduces the move along the normal of the disc, and the turn about axes in its plane (sms-gaussians, cpu/adam.rs).
+        let moved = p0.value.xyz - place.xyz;
+        let along = m.normal_w * dot(m.normal_w, moved);
+        p0.value = vec4f(p0.value.xyz - (1.0 - off_plane) * along, p0.value.w);
+        let turn = product(vec4f(-rotation.xyz, rotation.w), p1.value);
+        p1.value = product(rotation, vec4f(turn.xyz * mix(vec3f(off_plane), vec3f(1.0), m.shortest), turn.w));
+    }
     var p2 =
         adam(rows[row + 2u], moments[first + 2u], moments[second + 2u], d_size, vec4f(r.z), correction);
     var p3 = adam(rows[row + 3u], moments[first + 3u], moments[second + 3u], d_color, vec4f(c.x), correction);

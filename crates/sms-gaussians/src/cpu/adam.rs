@@ -6,6 +6,7 @@ use crate::parameters::{
     AFFINITY, COLOR, ClassifierState, HARMONICS, LOG_SCALE, LOGIT_LIMIT, LOGIT_OPACITY, PARAMETERS, POSITION,
     ROTATION, ROW, Row, SCALE_RANGE,
 };
+use glamx::{Quat, Vec3};
 
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
@@ -56,8 +57,8 @@ fn corrections(steps: u32) -> (f32, f32) {
     (1.0 / (1.0 - BETA1.powi(t)), 1.0 / (1.0 - BETA2.powi(t)))
 }
 
-/// Takes one step with each visible row. `rates` are those of the row's entries; those of rotations are at most `rim` over the largest
-/// scale. A row with a gradient that is not finite remains unchanged.
+/// Takes one step with each visible row. `rates` are those of the row's entries; `off_plane` is the share of
+/// [`LearningRates::off_plane`]. A row with a gradient that is not finite remains unchanged.
 #[inline(always)]
 fn descend<L: Lanes>(
     rows: &mut [Row],
@@ -66,7 +67,7 @@ fn descend<L: Lanes>(
     steps: &mut [u32],
     gradients: &[Row],
     seen: &[bool],
-    (rates, rim): (&Row, f32),
+    (rates, off_plane): (&Row, f32),
 ) {
     // View-dependent colour that is not trained has no gradients.
     let chunks = if rates.0[HARMONICS] > 0.0 { ROW / WIDTH } else { HARMONICS.div_ceil(WIDTH) };
@@ -77,17 +78,16 @@ fn descend<L: Lanes>(
         let mut row = rows[i];
         steps[i] += 1;
         let correction = corrections(steps[i]);
-        let largest = row.0[LOG_SCALE..LOGIT_OPACITY].iter().fold(f32::MIN, |a, &b| a.max(b)).exp();
         let (values, _) = row.0.as_chunks_mut::<WIDTH>();
         let (m, _) = first[i].0.as_chunks_mut::<WIDTH>();
         let (v, _) = second[i].0.as_chunks_mut::<WIDTH>();
         let (g, _) = gradients[i].0.as_chunks::<WIDTH>();
         let (rate, _) = rates.0.as_chunks::<WIDTH>();
-        let mut first_rates = rate[0];
-        first_rates[ROTATION..LOG_SCALE].fill(rates.0[ROTATION].min(rim / largest));
         for k in 0..chunks {
-            let rate = if k == 0 { &first_rates } else { &rate[k] };
-            update::<L>(&mut values[k], &mut m[k], &mut v[k], &g[k], rate, correction);
+            update::<L>(&mut values[k], &mut m[k], &mut v[k], &g[k], &rate[k], correction);
+        }
+        if off_plane < 1.0 {
+            hold_in_plane(&rows[i], &mut row, off_plane);
         }
         if constrain(&mut row) {
             rows[i] = row;
@@ -95,6 +95,21 @@ fn descend<L: Lanes>(
             (first[i], second[i], steps[i]) = (Row::ZERO, Row::ZERO, 0);
         }
     }
+}
+
+/// Reduces the move of a disc along its normal, and its turn about axes in its plane, to a share.
+fn hold_in_plane(before: &Row, after: &mut Row, share: f32) {
+    let rotation = |row: &Row| Quat::from_slice(&row.0[ROTATION..]);
+    let center = |row: &Row| Vec3::from_slice(&row.0[POSITION..]);
+    let axis = before.shortest_axis();
+    let normal_w = rotation(before) * Vec3::AXES[axis];
+    let moved = center(after) - center(before);
+    let moved = moved - normal_w * ((1.0 - share) * normal_w.dot(moved));
+    after.0[POSITION..ROTATION].copy_from_slice(&(center(before) + moved).to_array());
+    let mut turn = (rotation(before).conjugate() * rotation(after)).to_array();
+    (0..3).filter(|&a| a != axis).for_each(|a| turn[a] *= share);
+    let turned = rotation(before) * Quat::from_array(turn);
+    after.0[ROTATION..LOG_SCALE].copy_from_slice(&turned.to_array());
 }
 
 /// Normalizes the rotation of a row and clamps its values; returns false if this is impossible.
@@ -143,31 +158,50 @@ mod tests {
     use super::*;
     use crate::cpu::lanes::Simd;
 
+    /// A disc with its normal along the third axis after one step, the same gradient in all positions and quaternion components.
+    fn step(rotation: Quat, off_plane: f32) -> Row {
+        let rates = LearningRates { position: 1e-3, rotation: 2e-3, off_plane, ..LearningRates::default() };
+        let mut row = Row::ZERO;
+        row.0[ROTATION..LOG_SCALE].copy_from_slice(&rotation.to_array());
+        row.0[LOG_SCALE..LOGIT_OPACITY].copy_from_slice(&[-5.0, -5.5, -9.0]);
+        let mut gradient = Row::ZERO;
+        gradient.0[..LOG_SCALE].fill(-0.7);
+        let mut rows = [row];
+        let (mut first, mut second) = ([Row::ZERO], [Row::ZERO]);
+        let rates = (&rates_of_row(&rates), rates.off_plane);
+        descend_rows(
+            Simd::detect(),
+            &mut rows,
+            &mut first,
+            &mut second,
+            &mut [0],
+            &[gradient],
+            &[true],
+            rates,
+        );
+        rows[0]
+    }
+
     #[test]
-    fn wide_discs_turn_less_so_that_their_rims_move_alike() {
-        let rates = LearningRates { rotation: 2e-3, rim: 1e-5, ..LearningRates::default() };
-        let turn_of = |scale: f32| {
-            let mut row = Row::ZERO;
-            row.0[ROTATION + 3] = 1.0;
-            row.0[LOG_SCALE..LOGIT_OPACITY].copy_from_slice(&[scale.ln(), (scale / 3.0).ln(), -9.0]);
-            let mut gradient = Row::ZERO;
-            gradient.0[ROTATION] = -0.7;
-            let mut rows = [row];
-            descend_rows(
-                Simd::detect(),
-                &mut rows,
-                &mut [Row::ZERO],
-                &mut [Row::ZERO],
-                &mut [0],
-                &[gradient],
-                &[true],
-                (&rates_of_row(&rates), rates.rim),
-            );
-            rows[0].0[ROTATION]
-        };
-        // The first step of Adam has the length of the rate.
-        for (scale, expected) in [(1e-3, 2e-3), (5e-3, 2e-3), (0.01, 1e-3), (0.1, 1e-4)] {
-            assert!((turn_of(scale) / expected - 1.0).abs() < 1e-3, "{scale}: {}", turn_of(scale));
+    fn a_share_of_the_step_leaves_the_plane_of_a_disc() {
+        let rotation = Quat::from_euler(glamx::EulerRot::XYZ, 0.4, -0.9, 0.3);
+        let (axes_w, free) = (Vec3::AXES.map(|a| rotation * a), step(rotation, 1.0));
+        let center = |row: &Row| Vec3::from_slice(&row.0[POSITION..]);
+        let turn = |row: &Row| (rotation.conjugate() * Quat::from_slice(&row.0[ROTATION..])).to_scaled_axis();
+        // The first step of Adam has the length of the rate in every entry.
+        assert!((center(&free) - Vec3::splat(1e-3)).length() < 1e-8);
+        assert!(turn(&free).abs().min_element() > 1e-4, "{}", turn(&free));
+        for share in [0.0, 0.25, 1.0] {
+            let held = step(rotation, share);
+            let along = axes_w.map(|a| a.dot(center(&held)) / a.dot(center(&free)));
+            let turned = turn(&held) / turn(&free);
+            for (k, expected) in [1.0, 1.0, share].into_iter().enumerate() {
+                assert!((along[k] - expected).abs() < 1e-4, "share {share}, axis {k}: {}", along[k]);
+            }
+            for (k, expected) in [share, share, 1.0].into_iter().enumerate() {
+                assert!((turned[k] - expected).abs() < 0.01, "share {share}, axis {k}: {}", turned[k]);
+            }
+            assert!((Quat::from_slice(&held.0[ROTATION..]).length() - 1.0).abs() < 1e-6);
         }
     }
 }

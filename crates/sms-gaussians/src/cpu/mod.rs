@@ -131,7 +131,7 @@ impl CpuTrainer {
         let start = Instant::now();
         let Parameters { rows, first, second, steps, classifier } = &mut self.parameters;
         let Engine { simd, gradients, seen, classifier_gradient, .. } = &self.engine;
-        let (rates, rim) = (adam::rates_of_row(&self.config.rates), self.config.rates.rim);
+        let (rates, off_plane) = (adam::rates_of_row(&self.config.rates), self.config.rates.off_plane);
         rows.par_chunks_mut(GAUSSIANS)
             .zip(first.par_chunks_mut(GAUSSIANS))
             .zip(second.par_chunks_mut(GAUSSIANS))
@@ -139,7 +139,8 @@ impl CpuTrainer {
             .zip(gradients.par_chunks(GAUSSIANS))
             .zip(seen.par_chunks(GAUSSIANS))
             .for_each(|(((((rows, first), second), steps), gradients), seen)| {
-                adam::descend_rows(*simd, rows, first, second, steps, gradients, seen, (&rates, rim));
+                let rates = (&rates, off_plane);
+                adam::descend_rows(*simd, rows, first, second, steps, gradients, seen, rates);
             });
         if self.config.weights.segmentation > 0.0 && self.targets[frame].labelled > 0 {
             adam::descend_classifier(classifier, classifier_gradient, self.config.rates.classifier);

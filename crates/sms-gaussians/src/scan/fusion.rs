@@ -4,7 +4,7 @@
 //! depth of one view is noisy. Instead, centres and normals become those of the fused surface.
 
 use super::config::ScanConfig;
-use crate::parameters::{LOG_SCALE, POSITION, Parameters, ROTATION, Row};
+use crate::parameters::{POSITION, Parameters, ROTATION, Row};
 use glamx::{DQuat, DVec3, Quat, Vec3};
 use rayon::prelude::*;
 use sms_core::Cancel;
@@ -33,10 +33,9 @@ pub(crate) fn fuse(parameters: &mut Parameters, frames: &[&Frame], config: &Scan
 
 /// Returns the disc of a Gaussian: its normal is the shortest axis.
 fn surfel_of(row: &Row) -> Surfel {
-    let axis = (0..3).min_by(|&a, &b| row.0[LOG_SCALE + a].total_cmp(&row.0[LOG_SCALE + b])).unwrap_or(2);
     Surfel {
         p_w: Vec3::from_slice(&row.0[POSITION..]).as_dvec3(),
-        n_w: (Quat::from_slice(&row.0[ROTATION..]).as_dquat() * DVec3::AXES[axis]).normalize(),
+        n_w: (Quat::from_slice(&row.0[ROTATION..]).as_dquat() * DVec3::AXES[row.shortest_axis()]).normalize(),
         ..Surfel::default()
     }
 }

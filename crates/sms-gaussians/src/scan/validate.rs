@@ -97,7 +97,7 @@ impl LearningRates {
             ("position", self.position),
             ("log_scale", self.log_scale),
             ("rotation", self.rotation),
-            ("rim", self.rim),
+            ("off_plane", self.off_plane),
             ("opacity", self.opacity),
             ("color", self.color),
             ("harmonics", self.harmonics),
