@@ -180,8 +180,9 @@ fn cluster_gap(z: f32) -> f32 {
 }
 
 /// Returns the sample nearest to the block's centre among those of the surface that fills most of the block. Surfaces are clusters in
-/// depth. Where two fill equally much, the nearer and the farther one are taken by turns, like the squares of a chessboard: the
-/// nearer one everywhere would widen silhouettes by an eighth of a pixel when halving an image, and the farther one would narrow them.
+/// depth. Of several that fill equally much, the middle one is taken, and of two the nearer and the farther one by turns, like the
+/// squares of a chessboard: the nearer one everywhere would widen silhouettes by an eighth of a pixel when halving an image, and
+/// the farther one would narrow them.
 fn largest_surface(
     block: &[DepthSample],
     (x, y): (usize, usize),
@@ -190,13 +191,10 @@ fn largest_surface(
     sorted.clear();
     sorted.extend(block.iter().map(|s| s.z));
     sorted.sort_unstable_by(f32::total_cmp);
-    let mut surface = &sorted[..0];
-    for cluster in sorted.chunk_by(|a, b| b - a <= cluster_gap(*a)) {
-        let is_turn_of_farther = (x + y) % 2 == 1;
-        if cluster.len() > surface.len() || (cluster.len() == surface.len() && is_turn_of_farther) {
-            surface = cluster;
-        }
-    }
+    let clusters = || sorted.chunk_by(|a, b| b - a <= cluster_gap(*a));
+    let most = clusters().map(<[f32]>::len).max()?;
+    let largest = || clusters().filter(|c| c.len() == most);
+    let surface = largest().nth((largest().count() - 1 + (x + y) % 2) / 2)?;
     let (&nearest, &farthest) = (surface.first()?, surface.last()?);
     let (cu, cv) = (x as f32 + 0.5, y as f32 + 0.5);
     let distance = |s: &DepthSample| (s.u - cu).powi(2) + (s.v - cv).powi(2);

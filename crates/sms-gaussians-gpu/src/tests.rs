@@ -75,7 +75,7 @@ fn images_equal_the_cpu_and_the_oracle() {
     assert!(b.depth.iter().filter(|z| **z > 0.0).count() > SIZE.0 * SIZE.1 / 2, "depths were compared");
 }
 
-/// Settings that train view-dependent colour too.
+/// Settings that train view-dependent colour too, and hold discs in their planes.
 fn directed() -> TrainConfig {
     let rates = LearningRates { harmonics: 2e-3, off_plane: 0.3, ..LearningRates::default() };
     TrainConfig { rates, ..TrainConfig::default() }

@@ -174,6 +174,13 @@ fn the_surface_that_fills_most_of_a_pixel_wins_and_silhouettes_stay_where_they_a
     // A stray value is no surface.
     let small = near_in(&|x, y| (x % 4, y % 4) == (1, 1));
     assert!(small.data.iter().all(|z| (z - 1.0).abs() < 1e-6));
+    // Four samples that are all apart, as on a surface seen at a grazing angle: one of the two in the middle.
+    let steps = Image::from_vec(80, 80, (0..6400).map(|i| 0.5 + 0.1 * (i / 80) as f32).collect());
+    let small = resample_depth(&steps, &lens, &k.scaled_to(20, 20), &DepthNoise::default());
+    for (i, z) in small.data.iter().enumerate() {
+        let row = (z - 0.5) / 0.1 - (4 * (i / 20)) as f32;
+        assert!((0.9..2.1).contains(&row), "pixel {i}: row {row} of its block");
+    }
     // A disc keeps its area, to the error of counting a circle of this radius.
     let radius = 27.3f64;
     let small = near_in(&|x, y| (x as f64 - 39.7).hypot(y as f64 - 39.2) < radius);

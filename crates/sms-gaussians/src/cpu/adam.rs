@@ -158,16 +158,16 @@ mod tests {
     use super::*;
     use crate::cpu::lanes::Simd;
 
-    /// A disc with its normal along the third axis after one step, the same gradient in all positions and quaternion components.
-    fn step(rotation: Quat, off_plane: f32) -> Row {
+    /// A disc with this normal axis after one step, with the same gradient in all positions and quaternion components.
+    fn step(rotation: Quat, normal: usize, off_plane: f32) -> Row {
         let rates = LearningRates { position: 1e-3, rotation: 2e-3, off_plane, ..LearningRates::default() };
         let mut row = Row::ZERO;
         row.0[ROTATION..LOG_SCALE].copy_from_slice(&rotation.to_array());
-        row.0[LOG_SCALE..LOGIT_OPACITY].copy_from_slice(&[-5.0, -5.5, -9.0]);
+        row.0[LOG_SCALE..LOGIT_OPACITY].copy_from_slice(&[-5.0, -5.5, -6.0]);
+        row.0[LOG_SCALE + normal] = -9.0;
         let mut gradient = Row::ZERO;
         gradient.0[..LOG_SCALE].fill(-0.7);
-        let mut rows = [row];
-        let (mut first, mut second) = ([Row::ZERO], [Row::ZERO]);
+        let (mut rows, mut first, mut second) = ([row], [Row::ZERO], [Row::ZERO]);
         let rates = (&rates_of_row(&rates), rates.off_plane);
         descend_rows(
             Simd::detect(),
@@ -185,23 +185,33 @@ mod tests {
     #[test]
     fn a_share_of_the_step_leaves_the_plane_of_a_disc() {
         let rotation = Quat::from_euler(glamx::EulerRot::XYZ, 0.4, -0.9, 0.3);
-        let (axes_w, free) = (Vec3::AXES.map(|a| rotation * a), step(rotation, 1.0));
+        let axes_w = Vec3::AXES.map(|a| rotation * a);
         let center = |row: &Row| Vec3::from_slice(&row.0[POSITION..]);
         let turn = |row: &Row| (rotation.conjugate() * Quat::from_slice(&row.0[ROTATION..])).to_scaled_axis();
-        // The first step of Adam has the length of the rate in every entry.
-        assert!((center(&free) - Vec3::splat(1e-3)).length() < 1e-8);
-        assert!(turn(&free).abs().min_element() > 1e-4, "{}", turn(&free));
-        for share in [0.0, 0.25, 1.0] {
-            let held = step(rotation, share);
-            let along = axes_w.map(|a| a.dot(center(&held)) / a.dot(center(&free)));
-            let turned = turn(&held) / turn(&free);
-            for (k, expected) in [1.0, 1.0, share].into_iter().enumerate() {
-                assert!((along[k] - expected).abs() < 1e-4, "share {share}, axis {k}: {}", along[k]);
+        for normal in 0..3 {
+            let free = step(rotation, normal, 1.0);
+            // The first step of Adam has the length of the rate in every entry.
+            assert!((center(&free) - Vec3::splat(1e-3)).length() < 1e-8);
+            assert!(turn(&free).abs().min_element() > 1e-4, "{}", turn(&free));
+            for share in [0.0, 0.25, 0.9] {
+                let held = step(rotation, normal, share);
+                let moved = axes_w.map(|a| a.dot(center(&held)) / a.dot(center(&free)));
+                let turned = turn(&held) / turn(&free);
+                for k in 0..3 {
+                    let (shift, turn) = if k == normal { (share, 1.0) } else { (1.0, share) };
+                    assert!(
+                        (moved[k] - shift).abs() < 1e-4,
+                        "share {share}, axes {k}, {normal}: {}",
+                        moved[k]
+                    );
+                    assert!(
+                        (turned[k] - turn).abs() < 0.01,
+                        "share {share}, axes {k}, {normal}: {}",
+                        turned[k]
+                    );
+                }
+                assert!((Quat::from_slice(&held.0[ROTATION..]).length() - 1.0).abs() < 1e-6);
             }
-            for (k, expected) in [share, share, 1.0].into_iter().enumerate() {
-                assert!((turned[k] - expected).abs() < 0.01, "share {share}, axis {k}: {}", turned[k]);
-            }
-            assert!((Quat::from_slice(&held.0[ROTATION..]).length() - 1.0).abs() < 1e-6);
         }
     }
 }

@@ -10,7 +10,7 @@ use glamx::Mat3;
 use sms_core::Camera;
 use std::f32::consts::{LN_2, LOG2_E};
 
-/// Variance in pixels² added to both axes of a splat, so that none falls between pixels (the 2-D low-pass filter): less than
+/// Variance in pixels² added to both axes of a splat, so that few fall between pixels (the 2-D low-pass filter): less than
 /// that of a pixel's square, 1/12; Mip-Splatting uses 0.1 (Yu et al., CVPR 2024).
 ///
 /// The splat's opacity is lowered by √(det Σ / det(Σ + filter)), so that the filter spreads a splat without adding to
@@ -20,7 +20,7 @@ use std::f32::consts::{LN_2, LOG2_E};
 ///
 /// A wider filter still moves silhouettes outwards, because many discs seen edge-on overlap there and their opacities do not
 /// simply add up. With 0.3, 0.1 and 0.05 px², ten billiards scans have depth errors of 1.67, 1.27 and 1.13 mm at 29.7, 30.0 and
-/// 30.0 dB; with 0.05 and 0.02, and discs that stay on the surface, two scans 0.94 and 0.89 mm at 34.2 and 34.1 dB
+/// 30.0 dB; with discs that stay on the surface, 0.05 and 0.02 give 0.94 and 0.89 mm at 34.2 and 34.1 dB on two of them
 /// (experiments/studies/scan/fused.md).
 pub const LOW_PASS: f64 = 0.02;
 /// Constant added to det Σ, pixels⁴, so that it has a gradient for discs seen edge-on.

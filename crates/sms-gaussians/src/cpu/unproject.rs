@@ -69,7 +69,7 @@ fn unproject<L: Lanes>(
             gradient.0[..AFFINITY].copy_from_slice(&geometry[..AFFINITY]);
             if bits >> i & 1 != 0 {
                 gradient.0[AFFINITY..HARMONICS].copy_from_slice(&collected[i].affinity);
-                // The direction is held constant, as the slope of depth is: positions hardly move.
+                // The direction is held constant, as the slope of depth is: a step is short against the distance.
                 if shared.config.rates.harmonics > 0.0 {
                     let basis = basis(shared.view.direction_w(&rows[i]));
                     for (i, to) in gradient.0[HARMONICS..PARAMETERS].iter_mut().enumerate() {

@@ -8,7 +8,7 @@ use sms_surface::{Surfel, map_nearby};
 
 /// Ratio of the variance of a measured colour to that of the coefficients of its dependence on the direction: a standard deviation of
 /// 0.02 (noise, misalignment) to one of 0.12. On the scenes 1001 to 1004, on which it was chosen, 1, 0.3 and 0.1 give 33.2, 33.3 and 33.4
-/// dB with a rate of rotations of 10⁻³, and 0.03 and 0.01 give 33.6 dB with the default rates (experiments/studies/scan/fused.md).
+/// dB with a rate of rotations of 10⁻³, and 0.03 and 0.01 give 33.6 dB with the rates of the time (experiments/studies/scan/fused.md).
 const RIDGE: f64 = 0.03;
 
 /// Mean colour (0 to 1) and most frequent label of an element.

@@ -1,6 +1,6 @@
 //! Projection of Gaussians onto the surface measured by all frames.
 //!
-//! Positions hardly move in training: colours would pull centres off the surface (by 2 mm at 1e-4 m per step), and the
+//! Positions hardly move in the schedule `sequential`: colours would pull centres off the surface (by 2 mm at 1e-4 m per step), and the
 //! depth of one view is noisy. Instead, centres and normals become those of the fused surface.
 
 use super::config::ScanConfig;

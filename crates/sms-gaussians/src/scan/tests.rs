@@ -359,6 +359,26 @@ fn gaussians_fill_what_has_no_depth_and_are_marked() {
 }
 
 #[test]
+fn a_surface_that_other_frames_measure_is_not_filled_where_one_frame_lacks_depth() {
+    let (mut sequence, labels) = record(SMALL);
+    let config = ScanConfig { schedule: ScanOrder::Fused, ..quick() };
+    let unmeasured = |sequence: &Sequence| {
+        let dir = tempfile::tempdir().unwrap();
+        let recording = (sequence.clone(), labels.clone());
+        let model = run(&recording, &config, dir.path(), None, &Warnings::new()).unwrap().model;
+        (0..model.len()).filter(|&i| !model.is_measured(i)).count()
+    };
+    let before = unmeasured(&sequence);
+    let frame = &mut sequence.frames[config.holdout + 1];
+    for (z, normal_c) in frame.depth.data.iter_mut().zip(&mut frame.normal_c.data).step_by(3) {
+        (*z, *normal_c) = (0.0, [0.0; 3]);
+    }
+    let after = unmeasured(&sequence);
+    // Of 5,300 pixels; 165 if all count as open where discs that are not trained yet have an opacity below one half.
+    assert!(before == 0 && after < 80, "{before} {after}");
+}
+
+#[test]
 fn a_sky_without_depth_is_the_background_and_not_covered() {
     let (mut sequence, labels) = record(SMALL);
     let sky = [120, 170, 230];

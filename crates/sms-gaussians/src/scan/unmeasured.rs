@@ -23,23 +23,29 @@ const STEP: f64 = 1.05;
 const STEPS: usize = 24;
 /// Least difference of a colour channel (0 to 1) that needs a Gaussian: about ten times the noise of a camera.
 const LEAST_DIFFERENCE: f32 = 0.05;
-/// The fused surface covers a pixel if one of its discs, not trained yet, lies within this number of standard deviations.
+/// The fused surface covers a pixel if it is as opaque there as one disc, not trained yet and seen face-on, is at this number of standard
+/// deviations.
 const COVERED_SIGMAS: f32 = 1.5;
 /// Depths within this ratio belong to one surface.
 const SAME_SURFACE: f32 = 1.1;
 
 /// Returns the pixels of `frame` without depth that the fused surface does not cover (`rendered`): where other frames measured
 /// a surface, nothing is missing.
-pub(crate) fn uncovered(frame: &Frame, rendered: &RenderedMaps, config: &ScanConfig) -> Vec<usize> {
+pub(crate) fn uncovered(frame: &Frame, rendered: &RenderedMaps, config: &ScanConfig) -> Vec<u32> {
     let covered = config.seeding.opacity * (-0.5 * COVERED_SIGMAS * COVERED_SIGMAS).exp();
-    let is_open = |i: &usize| frame.depth.data[*i] <= 0.0 && rendered.alpha[*i] < covered;
-    (0..frame.depth.data.len()).filter(is_open).collect()
+    let is_open = |i: &u32| {
+        let i = *i as usize;
+        frame.depth.data[i] <= 0.0
+            && rendered.alpha[i] < covered
+            && differs(rendered.color[i], frame.color.data[i])
+    };
+    (0..frame.depth.data.len() as u32).filter(is_open).collect()
 }
 
 /// Returns Gaussians for the `uncovered` pixels of `frame` that the Gaussians so far leave open (`rendered`). `frames` are
 /// all frames that are trained on.
 pub(crate) fn seed_unmeasured(
-    (frame, uncovered): (&Frame, &[usize]),
+    (frame, uncovered): (&Frame, &[u32]),
     (labels, codes): (&LabelMap, &AffinityCodes),
     rendered: &RenderedMaps,
     frames: &[&Frame],
@@ -53,7 +59,7 @@ pub(crate) fn seed_unmeasured(
     let is_open = |i: &usize| {
         rendered.alpha[*i] < settings.alpha_below && differs(rendered.color[*i], frame.color.data[*i])
     };
-    let mut order: Vec<usize> = uncovered.iter().copied().filter(is_open).collect();
+    let mut order: Vec<usize> = uncovered.iter().map(|&i| i as usize).filter(is_open).collect();
     order.shuffle(&mut rng);
     let spacing_px = COARSER * settings.spacing_px;
     let mut taken = Image::filled(width, height, false);
