@@ -179,28 +179,32 @@ fn cluster_gap(z: f32) -> f32 {
     (0.015 * z).max(0.005)
 }
 
-/// Returns the sample nearest to the block's centre among those of the surface that fills most of the block. Surfaces are clusters in
-/// depth. Of several that fill equally much, the middle one is taken, and of two the nearer and the farther one by turns, like the
-/// squares of a chessboard: the nearer one everywhere would widen silhouettes by an eighth of a pixel when halving an image, and
-/// the farther one would narrow them.
-fn largest_surface(
-    block: &[DepthSample],
-    (x, y): (usize, usize),
-    sorted: &mut Vec<f32>,
-) -> Option<DepthSample> {
+/// Returns the sample nearest to the block's centre among those of its front surface: the nearest cluster in depth that
+/// holds at least a quarter of the block's samples, so that a single stray value in front is not a surface.
+fn front_sample(block: &[DepthSample], cu: f32, cv: f32, sorted: &mut Vec<f32>) -> Option<DepthSample> {
+    if block.is_empty() {
+        return None;
+    }
     sorted.clear();
     sorted.extend(block.iter().map(|s| s.z));
     sorted.sort_unstable_by(f32::total_cmp);
-    let clusters = || sorted.chunk_by(|a, b| b - a <= cluster_gap(*a));
-    let most = clusters().map(<[f32]>::len).max()?;
-    let largest = || clusters().filter(|c| c.len() == most);
-    let surface = largest().nth((largest().count() - 1 + (x + y) % 2) / 2)?;
-    let (&nearest, &farthest) = (surface.first()?, surface.last()?);
-    let (cu, cv) = (x as f32 + 0.5, y as f32 + 0.5);
+    let enough = block.len().div_ceil(4);
+    let mut from = 0;
+    let mut front = sorted[0];
+    for i in 1..=sorted.len() {
+        if i == sorted.len() || sorted[i] - sorted[i - 1] > cluster_gap(sorted[i - 1]) {
+            front = sorted[from];
+            if i - from >= enough {
+                break;
+            }
+            from = i;
+        }
+    }
+    let limit = front + cluster_gap(front);
     let distance = |s: &DepthSample| (s.u - cu).powi(2) + (s.v - cv).powi(2);
     block
         .iter()
-        .filter(|s| (nearest..=farthest).contains(&s.z))
+        .filter(|s| s.z >= front && s.z <= limit)
         .min_by(|a, b| distance(a).total_cmp(&distance(b)).then(a.z.total_cmp(&b.z)))
         .copied()
 }
@@ -255,7 +259,7 @@ fn depth_at_center(
     if count > 0.0 && (z - z0).abs() <= gap { z as f32 } else { chosen.z }
 }
 
-/// Resamples depth to the pinhole `target`: the surface that fills most of each target pixel's block of recorded samples, at the
+/// Resamples depth to the pinhole `target`: the front surface of each target pixel's block of recorded samples, at the
 /// pixel's centre. A recorded image that is hardly larger than the target is resampled by nearest neighbour.
 pub fn resample_depth(
     depth: &DepthImage,
@@ -284,7 +288,7 @@ pub fn resample_depth(
     let mut sorted = Vec::new();
     for y in 0..target.height {
         for x in 0..target.width {
-            if let Some(chosen) = largest_surface(blocks.of(x, y), (x, y), &mut sorted) {
+            if let Some(chosen) = front_sample(blocks.of(x, y), x as f32 + 0.5, y as f32 + 0.5, &mut sorted) {
                 let pitch = target.pixel_footprint(f64::from(chosen.z));
                 out[(x, y)] = depth_at_center(&blocks, x, y, chosen, noise, pitch);
             }
