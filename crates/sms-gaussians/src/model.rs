@@ -1,6 +1,7 @@
 //! The stage's result: labelled Gaussians.
 
 use crate::harmonics::{Harmonics, mean_difference, rotated, rotation_of};
+use crate::parameters::shortest_axis;
 use glamx::{DPose3, Quat, Vec3};
 
 /// Width of the affinity feature (paper: d; released code: 16).
@@ -127,7 +128,7 @@ impl GaussianModel {
         let q = self.rotations_wg[i];
         let s = self.scales[i].to_array();
         let axes = [q * Vec3::X, q * Vec3::Y, q * Vec3::Z];
-        let smallest = (0..3).min_by(|&a, &b| s[a].total_cmp(&s[b])).unwrap_or(2);
+        let smallest = shortest_axis(s);
         let others = [(smallest + 1) % 3, (smallest + 2) % 3];
         (axes[smallest], others.map(|k| (axes[k], s[k])))
     }

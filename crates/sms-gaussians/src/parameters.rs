@@ -44,8 +44,13 @@ impl Row {
     /// Index of the shortest axis: the normal of a disc.
     pub(crate) fn shortest_axis(&self) -> usize {
         let log_scale = &self.0[LOG_SCALE..LOGIT_OPACITY];
-        (0..3).min_by(|&a, &b| log_scale[a].total_cmp(&log_scale[b])).unwrap_or(2)
+        shortest_axis([log_scale[0], log_scale[1], log_scale[2]])
     }
+}
+
+/// Index of the shortest of three axes, from their lengths or the logarithms of these; the first of equal ones.
+pub(crate) fn shortest_axis(lengths: [f32; 3]) -> usize {
+    (0..3).min_by(|&a, &b| lengths[a].total_cmp(&lengths[b])).unwrap_or(2)
 }
 
 /// A flat array with its Adam moments.
