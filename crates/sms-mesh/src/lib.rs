@@ -38,6 +38,7 @@ mod predicates;
 mod smooth;
 mod statistics;
 pub mod tetra;
+mod triangulate;
 mod tsdf;
 mod union_find;
 
@@ -56,4 +57,5 @@ pub use plane::Plane;
 pub use point_grid::PointGrid;
 pub use smooth::{colors_from, simplify, taubin};
 pub use statistics::{median, quantile};
+pub use triangulate::triangulate;
 pub use tsdf::{PixelUse, Tsdf, TsdfFrame};

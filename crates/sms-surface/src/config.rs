@@ -35,3 +35,17 @@ pub struct SurfaceConfig {
     /// measures at the position and normal found by the first, with [`crate::SAME_SURFACE_COSINE`].
     pub first_alike: f64,
 }
+
+impl Default for SurfaceConfig {
+    fn default() -> Self {
+        Self {
+            tolerance: SurfaceTolerance { min_m: 0.005, sigmas: 3.0 },
+            spacing_px: 2.5,
+            edge_spacing: 0.5,
+            edge_threshold: 0.08,
+            min_cosine: 0.1,
+            // New elements have the normal of one noisy pixel.
+            first_alike: 0.3,
+        }
+    }
+}

@@ -87,20 +87,21 @@ pub struct SeedingConfig {
 
 impl Default for SeedingConfig {
     fn default() -> Self {
+        let surface = SurfaceConfig::default();
         Self {
-            spacing_px: 2.5,
-            edge_spacing: 0.5,
+            spacing_px: surface.spacing_px,
+            edge_spacing: surface.edge_spacing,
             coarsest: 4.0,
             color_step: 0.05,
-            edge_threshold: 0.08,
+            edge_threshold: surface.edge_threshold,
             alpha_below: 0.6,
-            min_tolerance_m: 0.005,
-            tolerance_sigmas: 3.0,
+            min_tolerance_m: surface.tolerance.min_m,
+            tolerance_sigmas: surface.tolerance.sigmas,
             radius_m: 0.0005,
             sigma_of_spacing: 0.6,
             thickness: 0.02,
             opacity: 0.5,
-            min_cosine: 0.1,
+            min_cosine: surface.min_cosine,
             unmeasured: true,
         }
     }
@@ -317,8 +318,11 @@ impl ScanConfig {
             edge_spacing: seeding.edge_spacing,
             edge_threshold: seeding.edge_threshold,
             min_cosine: seeding.min_cosine,
-            // New elements have the normal of one noisy pixel, trained Gaussians that of their surface.
-            first_alike: if self.schedule == ScanOrder::Fused { 0.3 } else { SAME_SURFACE_COSINE },
+            // Trained Gaussians have the normal of their surface.
+            first_alike: match self.schedule {
+                ScanOrder::Fused => SurfaceConfig::default().first_alike,
+                ScanOrder::Sequential => SAME_SURFACE_COSINE,
+            },
         }
     }
 
