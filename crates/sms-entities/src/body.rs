@@ -2,6 +2,7 @@
 
 use crate::config::EntitiesConfig;
 use crate::draft::{Draft, STAGE};
+use crate::fused::{FusedSurface, within_faces};
 use crate::mesher::{self, MeshInput, MeshPath};
 use crate::recognise::recognise_primitive;
 use crate::support::Carrier;
@@ -99,4 +100,23 @@ pub(crate) fn mesh_entity(
     let residual_m = median(distances(&sample, &mesh));
     let shape = exact.unwrap_or(EntityShape::Convex);
     Some(Entity { parts, ..entity(draft, shape, mesh, observed_share, residual_m) })
+}
+
+/// Gives a fixed body its part of the fused surface as an open mesh, unless that is empty: it needs no volume, and a solid would
+/// guess the sides that nobody saw.
+pub(crate) fn keep_surface(entity: &mut Entity, fused: &FusedSurface, config: &EntitiesConfig) {
+    let mesh = fused.part(|_, _, label| label == entity.label).mesh(&config.environment);
+    if mesh.triangles.is_empty() {
+        return;
+    }
+    let reach = 2.0 * config.environment.spacing;
+    let mut mesh = within_faces(mesh, config.face_budget);
+    mesh.colors = colors_from(&entity.cloud.points_w, &entity.cloud.colors, &mesh, reach);
+    let stride = entity.cloud.points_w.len().div_ceil(1500).max(1);
+    let sample: Vec<DVec3> = entity.cloud.points_w.iter().copied().step_by(stride).collect();
+    entity.observed_share = mesher::observed_share(&mesh, &entity.cloud, reach);
+    entity.residual_m = median(distances(&sample, &mesh));
+    entity.shape = EntityShape::TriMesh;
+    entity.parts.clear();
+    entity.mesh = mesh;
 }

@@ -6,6 +6,7 @@ use crate::config::EntitiesConfig;
 use crate::contact;
 use crate::draft::{Draft, STAGE, SceneInputs};
 use crate::environment;
+use crate::fused::FusedSurface;
 use crate::level;
 use crate::lid;
 use crate::recognise::{recognise_sphere, sunk};
@@ -18,7 +19,8 @@ use crate::{EntitiesError, EntitySet};
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{
-    Aabb, CoreError, Entity, LabelInfo, Labels, MaskSource, Mesh, PointCloud, Seed, StageContext, Warnings,
+    Aabb, CoreError, Entity, EntityKind, LabelInfo, Labels, MaskSource, Mesh, PointCloud, Seed, StageContext,
+    Warnings,
 };
 use sms_frames::Sequence;
 use sms_gaussians::GaussianModel;
@@ -139,7 +141,11 @@ pub fn build_entities(
     if config.environment.enabled {
         progress.update(2 * count, "environment");
         let scene = SceneInputs { views: &views, around: &around, support_height, config };
-        entities.extend(environment::environment_entity(scene, &entities, &rests));
+        let fused = FusedSurface::of(&views, &config.environment, seed.derive("surface"), cancel)?;
+        for entity in entities.iter_mut().filter(|e| e.kind == EntityKind::Static) {
+            body::keep_surface(entity, &fused, config);
+        }
+        entities.extend(environment::environment_entity(scene, &entities, &rests, &fused));
     }
     progress.end(&format!("{} entities", entities.len()));
     Ok(EntitySet { entities, support_height, joined })

@@ -116,7 +116,7 @@ impl EntitiesConfig {
             ("convex.threshold", convex.threshold, 1e-3, 1.0),
             ("convex.floor", convex.floor, 0.0, 1.0),
             ("texture.texel_m", self.texture.texel_m, 1e-5, 1.0),
-            ("environment.voxel", environment.voxel, 5e-4, 1.0),
+            ("environment.spacing", environment.spacing, 5e-4, 1.0),
             ("environment.reach", environment.reach, 0.0, 100.0),
             ("environment.floor_band", environment.floor_band, 0.0, 1.0),
         ] {
@@ -163,14 +163,14 @@ impl Default for TextureConfig {
     }
 }
 
-/// Reconstruction of all unlabelled surface.
+/// Open meshes of all surface that does not move.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnvironmentConfig {
     /// Whether the environment is built.
     pub enabled: bool,
-    /// Voxel of the distance field, metres.
-    pub voxel: f64,
+    /// Least distance between the points of the mesh, metres.
+    pub spacing: f64,
     /// Surface farther than this from every object is left out, metres.
     pub reach: f64,
     /// Largest number of faces.
@@ -181,6 +181,6 @@ pub struct EnvironmentConfig {
 
 impl Default for EnvironmentConfig {
     fn default() -> Self {
-        Self { enabled: true, voxel: 0.006, reach: 0.5, face_budget: 2000, floor_band: 0.012 }
+        Self { enabled: true, spacing: 0.006, reach: 0.5, face_budget: 2000, floor_band: 0.012 }
     }
 }

@@ -1,17 +1,19 @@
-//! The static environment: all unlabelled surface.
+//! The static environment: all surface without a body.
 
 use crate::draft::SceneInputs;
+use crate::fused::{FusedSurface, SurfacePoints, within_faces};
 use crate::support::{Carrier, RestingPlane, Surroundings};
+use crate::views::Views;
 use glamx::DVec3;
 use sms_core::{Aabb, BACKGROUND, Entity, EntityKind, EntityShape, Mesh, PointCloud};
 use sms_mesh::outline::{is_over, outline_on_plane};
-use sms_mesh::{
-    Plane, PointGrid, Tsdf, TsdfFrame, cloud::mean_color, colors_from, convex_hull, distances, median,
-    simplify, taubin,
-};
+use sms_mesh::{Plane, PointGrid, cloud::mean_color, colors_from, convex_hull, distances, median};
 
-/// Environment surface closer than this to an object belongs to the object (its mask ends too early), metres.
+/// Environment surface that continues the surface of a movable object closer than this belongs to the object (its mask ends too
+/// early), metres.
 const CLEARANCE: f64 = 0.008;
+/// Least cosine between the normals of surfaces that continue each other. A carrier's surface beside an object faces elsewhere.
+const CONTINUES: f64 = 0.5;
 /// Connected surface smaller than this is noise, m².
 const MIN_AREA: f64 = 4e-4;
 /// Vertex limit of the hulls for tests whether a point is inside an object.
@@ -22,16 +24,15 @@ const HANGS: f64 = 0.03;
 const LOST_RIM: f64 = 0.025;
 /// A piece of surface counts as inside an object if this share of it is; the rest is noise.
 const INSIDE: f64 = 0.95;
-/// Decimation errors, tried in this order until the face budget is met, metres.
-const DECIMATION_ERRORS: [f64; 3] = [0.002, 0.004, 0.008];
 
-/// Builds the static environment near the objects as an open mesh that faces free space. The mesh leaves out the
-/// support plane (a half space replaces it) and has flat patches under the objects that rest on it, where no camera
+/// Builds the static environment near the objects as an open mesh of the fused surface that faces free space. The mesh leaves out
+/// the support plane (a half space replaces it) and has flat patches under the movable objects that rest on it, where no camera
 /// could see. `rests` holds the support of each object by its label. Returns `None` if only the support plane was seen.
 pub(crate) fn environment_entity(
     scene: SceneInputs<'_>,
     objects: &[Entity],
     rests: &[(u16, RestingPlane)],
+    fused: &FusedSurface,
 ) -> Option<Entity> {
     let SceneInputs { views, around, support_height, config } = scene;
     let settings = &config.environment;
@@ -41,41 +42,34 @@ pub(crate) fn environment_entity(
     let region = Aabb { min: region.min - reach, max: region.max + reach };
     let floor = support_height.unwrap_or(f64::NEG_INFINITY);
     let is_floor = |p: DVec3| p.z < floor + settings.floor_band;
-    let frames = views.sequence.frames.iter().enumerate();
-    let frames: Vec<TsdfFrame> = frames
-        .map(|(f, frame)| TsdfFrame {
-            camera: &frame.camera,
-            depth: &frame.depth,
-            pixels: views.unlabelled_pixels(f),
-        })
-        .collect();
-    let mut mesh = Tsdf::fuse(&frames, &region, settings.voxel, is_floor).surface();
-    smooth_open(&mut mesh, 0.5 * settings.voxel);
-    let own: Vec<DVec3> = objects
-        .iter()
-        .flat_map(|e| {
-            let faces = (0..e.mesh.triangles.len()).map(|t| e.mesh.corners(t).iter().sum::<DVec3>() / 3.0);
-            e.cloud.points_w.iter().chain(&e.mesh.vertices).copied().chain(faces)
-        })
-        .collect();
+    let has_body = |label: u16| objects.iter().any(|e| e.label == label);
+    let (own, own_normals): (Vec<DVec3>, Vec<DVec3>) =
+        objects.iter().filter(|e| e.kind == EntityKind::Dynamic).flat_map(oriented_points).unzip();
     let own = PointGrid::new(&own, CLEARANCE);
+    let is_own = |p: DVec3, normal: DVec3| {
+        let mut is_own = false;
+        own.for_each_within(p, CLEARANCE, |i, _| is_own |= own_normals[i].dot(normal) > CONTINUES);
+        is_own
+    };
     let patches: Vec<(Vec<DVec3>, Plane)> = objects
         .iter()
         .filter_map(|e| {
             let rest = rests.iter().find(|r| r.0 == e.label)?.1;
             let outline = outline_on_plane(&e.mesh.vertices, &rest.plane, 0.01, CLEARANCE + 0.006);
-            (rest.carrier == Carrier::Environment && outline.len() >= 3).then_some((outline, rest.plane))
+            let rests = e.kind == EntityKind::Dynamic && rest.carrier == Carrier::Environment;
+            (rests && outline.len() >= 3).then_some((outline, rest.plane))
         })
         .collect();
-    mesh.triangles.retain(|t| {
-        let corners = t.map(|v| mesh.vertices[v as usize]);
-        let center = corners.iter().sum::<DVec3>() / 3.0;
-        let replaced = patches
-            .iter()
-            .any(|(outline, plane)| plane.height(center).abs() < 0.012 && is_over(outline, plane, center));
-        let near_object = own.is_near(center, CLEARANCE);
-        !corners.iter().all(|&p| is_floor(p)) && !replaced && !near_object
-    });
+    let is_part = |p: DVec3, normal: DVec3, label: u16| {
+        let is_inside = p.cmpge(region.min).all() && p.cmple(region.max).all();
+        is_inside && !has_body(label) && !is_replaced(&patches, p) && !is_own(p, normal)
+    };
+    let mut surface = fused.part(is_part);
+    for (outline, plane) in &patches {
+        surface.extend(hidden_patch(outline, plane, settings.spacing, views));
+    }
+    let mut mesh = surface.mesh(settings);
+    mesh.triangles.retain(|t| !t.iter().all(|&v| is_floor(mesh.vertices[v as usize])));
     let hulls: Vec<Mesh> = objects
         .iter()
         .filter(|e| e.kind == EntityKind::Dynamic)
@@ -87,21 +81,12 @@ pub(crate) fn environment_entity(
             append(&mut out, &part);
         }
     }
-    let mut mesh = out;
-    for error in DECIMATION_ERRORS {
-        if mesh.triangles.len() > settings.face_budget {
-            mesh = simplify(&mesh, settings.face_budget, error);
-        }
-    }
-    for (outline, _) in &patches {
-        let fan = (1..outline.len() - 1).map(|k| [0, k as u32, k as u32 + 1]).collect();
-        append(&mut mesh, &Mesh::new(outline.clone(), fan));
-    }
+    let mut mesh = within_faces(out, settings.face_budget);
     if mesh.triangles.is_empty() {
         return None;
     }
-    let cloud = background_cloud(around, &mesh, 4.0 * settings.voxel);
-    mesh.colors = colors_from(&cloud.points_w, &cloud.colors, &mesh, 2.0 * settings.voxel);
+    let cloud = background_cloud(around, &mesh, 4.0 * settings.spacing, has_body);
+    mesh.colors = colors_from(&cloud.points_w, &cloud.colors, &mesh, 2.0 * settings.spacing);
     let stride = cloud.points_w.len().div_ceil(500).max(1);
     let sample: Vec<DVec3> = cloud.points_w.iter().copied().step_by(stride).collect();
     let residual_m = median(distances(&sample, &mesh));
@@ -111,7 +96,7 @@ pub(crate) fn environment_entity(
         description: String::new(),
         kind: EntityKind::Static,
         shape: EntityShape::TriMesh,
-        observed_share: crate::mesher::observed_share(&mesh, &cloud, 3.0 * settings.voxel),
+        observed_share: crate::mesher::observed_share(&mesh, &cloud, 3.0 * settings.spacing),
         mean_color: mean_color(&cloud.colors),
         cloud,
         mesh,
@@ -119,6 +104,44 @@ pub(crate) fn environment_entity(
         texture: None,
         residual_m,
     })
+}
+
+/// Returns the points of an object's cloud and mesh with their normals.
+fn oriented_points(entity: &Entity) -> impl Iterator<Item = (DVec3, DVec3)> {
+    let mesh = &entity.mesh;
+    let faces = (0..mesh.triangles.len()).map(|t| {
+        let [a, b, c] = mesh.corners(t);
+        ((a + b + c) / 3.0, (b - a).cross(c - a).normalize_or_zero())
+    });
+    let cloud = entity.cloud.points_w.iter().copied().zip(entity.cloud.normals_w.iter().copied());
+    cloud.chain(mesh.vertices.iter().copied().zip(mesh.vertex_normals())).chain(faces)
+}
+
+/// Returns whether a patch of the plane below an object takes the place of `p`.
+fn is_replaced(patches: &[(Vec<DVec3>, Plane)], p: DVec3) -> bool {
+    patches.iter().any(|(outline, plane)| plane.height(p).abs() < 0.012 && is_over(outline, plane, p))
+}
+
+/// Returns points of the plane within an outline where no camera could see: none sees through them.
+fn hidden_patch(outline: &[DVec3], plane: &Plane, spacing: f64, views: &Views<'_>) -> SurfacePoints {
+    let u = plane.normal.any_orthonormal_vector();
+    let v = plane.normal.cross(u);
+    let bounds = Aabb::of_points(outline.iter().map(|p| DVec3::new(p.dot(u), p.dot(v), 0.0)));
+    let mut out = SurfacePoints::default();
+    let Some(Aabb { min, max }) = bounds else { return out };
+    let steps = |from: f64, to: f64| ((to - from) / spacing).ceil() as usize + 1;
+    for row in 0..steps(min.y, max.y) {
+        for column in 0..steps(min.x, max.x) {
+            let (x, y) = (min.x + spacing * column as f64, min.y + spacing * row as f64);
+            let p = u * x + v * y + plane.normal * plane.offset;
+            if is_over(outline, plane, p)
+                && views.free_count(p, views.enough_frames()) < views.enough_frames()
+            {
+                out.push(p, plane.normal, spacing);
+            }
+        }
+    }
+    out
 }
 
 /// Returns whether a piece of surface floats inside an object's hull, or within the width of a rim beside it. Such a
@@ -144,32 +167,19 @@ fn append(mesh: &mut Mesh, part: &Mesh) {
     mesh.triangles.extend(part.triangles.iter().map(|t| t.map(|v| v + offset)));
 }
 
-/// Taubin smoothing that does not move the boundary of an open mesh.
-fn smooth_open(mesh: &mut Mesh, limit: f64) {
-    let mut edges: std::collections::BTreeMap<(u32, u32), i32> = Default::default();
-    for &[a, b, c] in &mesh.triangles {
-        for (i, j) in [(a, b), (b, c), (c, a)] {
-            *edges.entry((i.min(j), i.max(j))).or_default() += if i < j { 1 } else { -1 };
-        }
-    }
-    let mut rim = vec![false; mesh.vertices.len()];
-    for ((a, b), count) in edges {
-        if count != 0 {
-            rim[a as usize] = true;
-            rim[b as usize] = true;
-        }
-    }
-    taubin(mesh, &rim, 6, limit);
-}
-
-/// Returns the unlabelled surface points near the mesh.
-fn background_cloud(around: &Surroundings, mesh: &Mesh, reach: f64) -> PointCloud {
+/// Returns the surface points without a body near the mesh.
+fn background_cloud(
+    around: &Surroundings,
+    mesh: &Mesh,
+    reach: f64,
+    has_body: impl Fn(u16) -> bool,
+) -> PointCloud {
     let mut on_mesh: Vec<DVec3> = mesh.vertices.clone();
     on_mesh.extend((0..mesh.triangles.len()).map(|t| mesh.corners(t).iter().sum::<DVec3>() / 3.0));
     let grid = PointGrid::new(&on_mesh, reach);
     let mut cloud = PointCloud::default();
     for i in 0..around.points.len() {
-        if around.labels[i] == BACKGROUND && grid.is_near(around.points[i], reach) {
+        if !has_body(around.labels[i]) && grid.is_near(around.points[i], reach) {
             cloud.points_w.push(around.points[i]);
             cloud.normals_w.push(around.normals[i]);
             cloud.colors.push(around.colors[i]);

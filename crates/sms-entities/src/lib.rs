@@ -1,7 +1,7 @@
 //! From Gaussians to objects: grouping, meshing, contact repair, textures (paper, Section "Materialize").
 //!
 //! [`build_entities`] takes the trained model, the frames it was trained on and their labels, and returns one dynamic
-//! [`sms_core::Entity`] per label and a static one for all unlabelled surface. Object by object:
+//! [`sms_core::Entity`] per label and a static one for all surface without a body. Object by object:
 //!
 //! 1. `cloud`: the Gaussians classified as the object, without islands and contradictions to the frames, become an
 //!    even, oriented surface cloud.
@@ -12,7 +12,8 @@
 //! 5. Crate `sms-mesh` splits meshes into convex parts for physics.
 //! 6. `level`, `contact`, `stack`, `lid`: where one object stands on another, both get the level face that was seen or
 //!    that follows from the seen sides; overlapping parts of different objects are cut apart, gaps are closed.
-//! 7. `environment`: unlabelled surface becomes a static triangle mesh.
+//! 7. `fused`, `environment`: bodies that are kept fixed, and surface without a body, become open static meshes of the fused surface
+//!    of all frames (crate `sms-surface`).
 //! 8. `texture` ([`bake_textures`]): meshes get textures from the frames.
 
 mod body;
@@ -30,6 +31,7 @@ mod error;
 mod fixtures;
 mod foot;
 mod frame_cells;
+mod fused;
 mod hollow;
 mod level;
 mod lid;

@@ -3,9 +3,9 @@
 use crate::frame_cells::FrameCells;
 use crate::places::ask_frames;
 use glamx::DVec3;
-use sms_core::{BACKGROUND, Labels};
+use sms_core::Labels;
 use sms_frames::Sequence;
-use sms_mesh::{PixelUse, median};
+use sms_mesh::median;
 use std::sync::Arc;
 
 /// Visibility of a point in one frame.
@@ -265,32 +265,29 @@ impl<'a> Views<'a> {
         2 * hidden > frames && hidden >= self.sequence.len().min(2)
     }
 
-    /// Returns the use of each pixel of frame `f` for the unlabelled surface. Only pixels with unlabelled neighbours
-    /// and without a depth edge are used.
-    pub(crate) fn unlabelled_pixels(&self, f: usize) -> Vec<PixelUse> {
-        let frame = &self.sequence.frames[f];
-        let (width, height) = frame.depth.size();
-        let map = &self.labels.maps[f];
-        (0..width * height)
-            .map(|i| {
-                let (x, y) = ((i % width) as i64, (i / width) as i64);
-                let depth = f64::from(frame.depth.data[i]);
-                if depth <= 0.0 {
-                    return PixelUse::Unusable;
-                }
-                let neighbors = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
-                let mut own = map.data[i] == BACKGROUND;
-                for (nx, ny) in neighbors {
-                    let Some(&next) = frame.depth.get(nx, ny) else { continue };
-                    let jump = next > 0.0 && (f64::from(next) - depth).abs() > 5.0 * depth_tolerance(depth);
-                    if jump {
-                        return PixelUse::Unusable;
+    /// Returns, for every point, the label that most frames have for the surface there; `None` where fewer than
+    /// [`Self::enough_frames`] measure one, or more see through the point.
+    pub(crate) fn labels_of(&self, points_w: &[DVec3]) -> Vec<Option<u16>> {
+        let label_of = |i: usize, frames: &[usize]| {
+            let mut votes: Vec<(u16, usize)> = Vec::new();
+            let (mut seen, mut free) = (0, 0);
+            for &f in frames {
+                match self.sight(f, points_w[i]) {
+                    Sight::Surface(label) => {
+                        seen += 1;
+                        match votes.iter_mut().find(|(voted, _)| *voted == label) {
+                            Some((_, count)) => *count += 1,
+                            None => votes.push((label, 1)),
+                        }
                     }
-                    own &= map.get(nx, ny).is_none_or(|&l| l == BACKGROUND);
+                    Sight::Free => free += 1,
+                    Sight::Hidden | Sight::Unknown => {}
                 }
-                if own { PixelUse::Surface } else { PixelUse::FreeOnly }
-            })
-            .collect()
+            }
+            let most = votes.into_iter().max_by_key(|&(label, count)| (count, std::cmp::Reverse(label)))?;
+            (seen >= self.enough_frames() && free <= seen).then_some(most.0)
+        };
+        ask_frames(points_w, self, |pixel| pixel.may_be_seen(), label_of)
     }
 
     /// Returns for every point, with its normal, the median signed distance along the normal to the surface measured at its

@@ -4,7 +4,7 @@
 //! - [`tetra`]: Delaunay tetrahedralisation, and rules that choose the tetrahedra of a solid.
 //! - [`fit_sphere`], [`fit_primitive`]: spheres, boxes and cylinders fitted to a cloud.
 //! - [`outline`]: convex polygons in the plane.
-//! - [`Tsdf`]: fusion of depth images. [`decimate`], [`simplify`], [`taubin`]: fewer faces, smoother ones.
+//! - [`triangulate`]: open meshes through oriented points. [`decimate`], [`simplify`], [`taubin`]: fewer faces, smoother ones.
 //! - [`cloud`], [`PointGrid`], [`Plane`]: point clouds, neighbour queries, planes.
 //!
 //! ```
@@ -39,7 +39,6 @@ mod smooth;
 mod statistics;
 pub mod tetra;
 mod triangulate;
-mod tsdf;
 mod union_find;
 
 pub use clip::clip;
@@ -58,4 +57,3 @@ pub use point_grid::PointGrid;
 pub use smooth::{colors_from, simplify, taubin};
 pub use statistics::{median, quantile};
 pub use triangulate::triangulate;
-pub use tsdf::{PixelUse, Tsdf, TsdfFrame};
