@@ -2,7 +2,6 @@
 
 use crate::config::EntitiesConfig;
 use crate::draft::{Draft, STAGE};
-use crate::fused::{FusedSurface, within_faces};
 use crate::mesher::{self, MeshInput, MeshPath};
 use crate::recognise::recognise_primitive;
 use crate::support::Carrier;
@@ -102,15 +101,9 @@ pub(crate) fn mesh_entity(
     Some(Entity { parts, ..entity(draft, shape, mesh, observed_share, residual_m) })
 }
 
-/// Gives a fixed body its part of the fused surface as an open mesh, unless that is empty: it needs no volume, and a solid would
-/// guess the sides that nobody saw.
-pub(crate) fn keep_surface(entity: &mut Entity, fused: &FusedSurface, config: &EntitiesConfig) {
-    let mesh = fused.part(|_, _, label| label == entity.label).mesh(&config.environment);
-    if mesh.triangles.is_empty() {
-        return;
-    }
-    let reach = 2.0 * config.environment.spacing;
-    let mut mesh = within_faces(mesh, config.face_budget);
+/// Gives a fixed body the open mesh of its measured surface.
+pub(crate) fn keep_surface(entity: &mut Entity, mut mesh: Mesh, spacing: f64) {
+    let reach = 2.0 * spacing;
     mesh.colors = colors_from(&entity.cloud.points_w, &entity.cloud.colors, &mesh, reach);
     let stride = entity.cloud.points_w.len().div_ceil(1500).max(1);
     let sample: Vec<DVec3> = entity.cloud.points_w.iter().copied().step_by(stride).collect();

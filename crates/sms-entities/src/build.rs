@@ -6,12 +6,13 @@ use crate::config::EntitiesConfig;
 use crate::contact;
 use crate::draft::{Draft, STAGE, SceneInputs};
 use crate::environment;
-use crate::fused::FusedSurface;
+use crate::fused::fused_surface;
 use crate::level;
 use crate::lid;
 use crate::recognise::{recognise_sphere, sunk};
 use crate::relabel::relabel;
 use crate::stack;
+use crate::statics::static_meshes;
 use crate::support::{self, Carrier, RestingPlane, Surroundings};
 use crate::underside::{return_sides, return_undersides};
 use crate::views::Views;
@@ -19,8 +20,8 @@ use crate::{EntitiesError, EntitySet};
 use glamx::DVec3;
 use rayon::prelude::*;
 use sms_core::{
-    Aabb, CoreError, Entity, EntityKind, LabelInfo, Labels, MaskSource, Mesh, PointCloud, Seed, StageContext,
-    Warnings,
+    Aabb, BACKGROUND, CoreError, Entity, EntityKind, LabelInfo, Labels, MaskSource, Mesh, PointCloud, Seed,
+    StageContext, Warnings,
 };
 use sms_frames::Sequence;
 use sms_gaussians::GaussianModel;
@@ -32,8 +33,8 @@ use sms_mesh::{
 };
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Turns labelled Gaussians into bodies: one dynamic entity per label that was seen, and a static environment of all
-/// unlabelled surface (paper, Section "Materialize").
+/// Turns labelled Gaussians into bodies: one entity per label that was seen, and a static environment of all other
+/// surface (paper, Section "Materialize").
 ///
 /// # Errors
 /// When labels and frames do not belong together, when a depth is invalid, and on interruption. Objects that cannot be
@@ -109,10 +110,24 @@ pub fn build_entities(
         })
         .collect::<Result<_, CoreError>>()?;
     let mut entities: Vec<Entity> = entities.into_iter().flatten().collect();
+    let rests: Vec<(u16, RestingPlane)> = drafts.iter().map(|d| (d.info.id, d.rest)).collect();
+    // Before movable objects are parted from others: fixed ones have no volume that these could overlap.
+    let mut environment = None;
+    if config.environment.enabled || entities.iter().any(|e| e.kind == EntityKind::Static) {
+        progress.update(2 * count, "static surface");
+        let scene = SceneInputs { views: &views, around: &around, support_height, config };
+        let fused = fused_surface(&views, &config.environment, seed.derive("surface"), cancel)?;
+        let mut meshes = static_meshes(scene, &entities, &rests, &fused);
+        environment = meshes.remove(&BACKGROUND).filter(|_| config.environment.enabled);
+        for entity in entities.iter_mut().filter(|e| e.kind == EntityKind::Static) {
+            if let Some(mesh) = meshes.remove(&entity.label) {
+                body::keep_surface(entity, mesh, config.environment.spacing);
+            }
+        }
+    }
     let solid = |e: &Entity| e.parts.iter().map(Mesh::volume).sum::<f64>();
     let before: Vec<f64> = entities.iter().map(solid).collect();
     let floor = support_height.unwrap_or(0.0);
-    let rests: Vec<(u16, RestingPlane)> = drafts.iter().map(|d| (d.info.id, d.rest)).collect();
     let faces = level::level_faces(&mut entities, &rests, floor, config.convex.max_vertices);
     for overlap in contact::part_objects(&mut entities, &faces, config.convex.max_vertices, 0.003) {
         let (a, b) = (&entities[overlap.first].name, &entities[overlap.second].name);
@@ -137,15 +152,9 @@ pub fn build_entities(
             warnings.add(STAGE, "collision_shape_cut", message, "check the masks where they meet");
         }
     }
-    cancel.check()?;
-    if config.environment.enabled {
-        progress.update(2 * count, "environment");
-        let scene = SceneInputs { views: &views, around: &around, support_height, config };
-        let fused = FusedSurface::of(&views, &config.environment, seed.derive("surface"), cancel)?;
-        for entity in entities.iter_mut().filter(|e| e.kind == EntityKind::Static) {
-            body::keep_surface(entity, &fused, config);
-        }
-        entities.extend(environment::environment_entity(scene, &entities, &rests, &fused));
+    if let Some(mesh) = environment {
+        around.relabel(&joined);
+        entities.push(environment::environment_entity(mesh, &around, &entities, &config.environment));
     }
     progress.end(&format!("{} entities", entities.len()));
     Ok(EntitySet { entities, support_height, joined })

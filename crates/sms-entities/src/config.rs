@@ -167,13 +167,13 @@ impl Default for TextureConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnvironmentConfig {
-    /// Whether the environment is built.
+    /// Whether the environment is built. The other settings also apply to bodies that are kept fixed, without `reach`.
     pub enabled: bool,
-    /// Least distance between the points of the mesh, metres.
+    /// Least distance between the points of static meshes, metres.
     pub spacing: f64,
-    /// Surface farther than this from every object is left out, metres.
+    /// Environment farther than this from every object is left out, metres.
     pub reach: f64,
-    /// Largest number of faces.
+    /// Largest number of faces of all static meshes together.
     pub face_budget: usize,
     /// Surface closer than this to the support plane is part of the plane, metres.
     pub floor_band: f64,

@@ -12,7 +12,7 @@
 //! 5. Crate `sms-mesh` splits meshes into convex parts for physics.
 //! 6. `level`, `contact`, `stack`, `lid`: where one object stands on another, both get the level face that was seen or
 //!    that follows from the seen sides; overlapping parts of different objects are cut apart, gaps are closed.
-//! 7. `fused`, `environment`: bodies that are kept fixed, and surface without a body, become open static meshes of the fused surface
+//! 7. `fused`, `statics`, `environment`: bodies that are kept fixed, and surface without a body, become open static meshes of the fused surface
 //!    of all frames (crate `sms-surface`).
 //! 8. `texture` ([`bake_textures`]): meshes get textures from the frames.
 
@@ -46,6 +46,7 @@ mod relabel;
 mod save;
 mod stack;
 mod standing;
+mod statics;
 mod support;
 mod texel_colors;
 mod texture;

@@ -1,6 +1,7 @@
 //! Supports: the surfaces that objects rest on.
 
 use crate::cloud::SurfaceDisc;
+use crate::relabel::host_of;
 use crate::views::Views;
 use glamx::{DMat4, DVec3, DVec4};
 use rand::RngExt;
@@ -26,6 +27,11 @@ pub(crate) struct Surroundings {
 }
 
 impl Surroundings {
+    /// Relabels the points of joined pieces with the label of their host.
+    pub(crate) fn relabel(&mut self, joined: &[(u16, u16)]) {
+        self.labels.iter_mut().for_each(|label| *label = host_of(*label, joined));
+    }
+
     /// Collects the sides of an object from its discs.
     pub(crate) fn collect_own_sides(&mut self, label: u16, discs: &[SurfaceDisc]) {
         let sides = discs.iter().filter(|d| d.normal.z.abs() < UPRIGHT);
@@ -46,7 +52,7 @@ impl Surroundings {
 pub(crate) enum Carrier {
     /// The dominant plane, a half space in the scene.
     Floor,
-    /// Unlabelled surface.
+    /// Surface without a label.
     Environment,
     /// Another object.
     Object(u16),

@@ -39,7 +39,7 @@ pub fn bake_textures(
         .map(|(f, frame)| colors.get(f).and_then(Option::as_ref).unwrap_or(&frame.color))
         .collect();
     for entity in &mut set.entities {
-        // The environment has only vertex colours: they are as fine as its voxels.
+        // The environment has only vertex colours: they are as fine as its points.
         let is_object = entity.kind == EntityKind::Dynamic || entity.label != sms_core::BACKGROUND;
         if is_object && !entity.mesh.triangles.is_empty() {
             entity.texture = Some(bake(entity, &views, &images, config));

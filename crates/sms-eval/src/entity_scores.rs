@@ -6,7 +6,7 @@ use crate::surface_index::sample_surface;
 use crate::surface_scores::F1_M;
 use crate::truth::{OBSERVED_SPACING_M, SurfacePoint, TrueSurface};
 use rayon::prelude::*;
-use sms_core::{Entity, Seed};
+use sms_core::{Entity, EntityShape, Seed};
 
 /// Number of samples of a surface before the unobserved ones are removed.
 pub const SURFACE_SAMPLES: usize = 100_000;
@@ -71,7 +71,8 @@ pub fn solid_figures(entity: &Entity, truth: &TrueSurface) -> Vec<(&'static str,
     if let Some(iou) = parts_overlap(&entity.mesh, &parts) {
         figures.push(("parts_iou", iou));
     }
-    if truth.sphere.is_some() || truth.mesh.is_closed_oriented() {
+    let is_solid = entity.shape != EntityShape::TriMesh || entity.mesh.is_closed_oriented();
+    if is_solid && (truth.sphere.is_some() || truth.mesh.is_closed_oriented()) {
         let true_volume = match truth.sphere {
             Some((_, r)) => 4.0 / 3.0 * std::f64::consts::PI * r.powi(3),
             None => truth.mesh.volume(),

@@ -21,6 +21,7 @@ pub fn collision_solids(entity: &Entity) -> Vec<Mesh> {
             vec![Mesh::cylinder(*radius, *half_length, 128).transformed(x_ws)]
         }
         EntityShape::Convex => entity.parts.clone(),
+        EntityShape::TriMesh if !entity.mesh.is_closed_oriented() => Vec::new(),
         EntityShape::TriMesh => vec![entity.mesh.clone()],
     }
 }

@@ -42,7 +42,7 @@ impl SolidScores {
 /// mesh.
 ///
 /// # Errors
-/// [`InertiaError`] when it encloses no volume.
+/// [`InertiaError`] when it encloses no volume, as an open surface.
 pub fn entity_solid(entity: &Entity) -> Result<MassProperties, InertiaError> {
     match &entity.shape {
         EntityShape::Sphere { center_w, radius } => sphere_mass_properties(*center_w, *radius, 1.0),
@@ -50,6 +50,7 @@ pub fn entity_solid(entity: &Entity) -> Result<MassProperties, InertiaError> {
         EntityShape::Cylinder { x_ws, radius, half_length } => {
             placed(&cylinder_mass_properties(*radius, *half_length, 1.0)?, x_ws)
         }
+        EntityShape::TriMesh if !entity.mesh.is_closed_oriented() => Err(InertiaError::Volume(0.0)),
         EntityShape::Convex | EntityShape::TriMesh => polyhedron_mass_properties(&entity.mesh, 1.0),
     }
 }

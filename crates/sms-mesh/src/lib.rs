@@ -1,4 +1,4 @@
-//! Generic geometry of points, triangles and planes: hulls, convex decomposition, tetrahedralisation, fits, fusion.
+//! Generic geometry of points, triangles and planes: hulls, convex decomposition, tetrahedralisation, fits, open surfaces.
 //!
 //! - [`convex_parts`]: approximate convex decomposition of a mesh (paper, Section "Materialize"); [`convex_hull`].
 //! - [`tetra`]: Delaunay tetrahedralisation, and rules that choose the tetrahedra of a solid.

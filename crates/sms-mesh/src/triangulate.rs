@@ -6,36 +6,35 @@
 //! corners agree on become the mesh.
 
 use crate::point_grid::PointGrid;
+use crate::statistics::median;
 use glamx::{DVec2, DVec3};
 use rayon::prelude::*;
-use sms_core::Mesh;
 use std::cmp::Reverse;
 use std::collections::HashSet;
 
-/// Least cosine between the normals of neighbours.
-const LEAST_ALIKE: f64 = 0.3;
+/// Least cosine between the normals of neighbours: right angles are closed.
+const LEAST_ALIKE: f64 = -0.05;
 /// Largest slope from a point to a neighbour against its tangent plane: steeper ones are of another layer.
 const STEEPEST: f64 = 2.0;
 /// Largest circumradius of a triangle as a multiple of the sampling distance of its corners. On a sampled surface, no circle without
 /// points is wider than that distance; slopes against the tangent plane and noise make some wider.
 const WIDEST: f64 = 1.5;
 
-/// Returns the mesh through `points` with unit normals `normals_w`, which face free space; `spacings` are the largest
-/// distances from places of the surface around each point to their nearest one. All corners are points. Triangles face free space, and no directed edge belongs to two
-/// of them; the mesh ends where the distance between points is larger than sampled.
+/// Returns triangles of an open mesh through `points` with unit `normals`, which face free space. `spacings` are the largest
+/// distances from places of the surface around each point to their nearest one. Triangles face free space, and no directed edge
+/// belongs to two of them. The mesh ends where points are farther apart than their spacings tell, and at creases sharper than a right angle.
 ///
 /// # Panics
 /// If the slices are not equally long.
-pub fn triangulate(points: &[DVec3], normals: &[DVec3], spacings: &[f64]) -> Mesh {
+pub fn triangulate(points: &[DVec3], normals: &[DVec3], spacings: &[f64]) -> Vec<[u32; 3]> {
     assert!(points.len() == normals.len() && points.len() == spacings.len(), "one normal and spacing each");
-    let widest = spacings.iter().copied().fold(0.0, f64::max);
-    let grid = PointGrid::new(points, widest);
+    let grid = PointGrid::new(points, median(spacings.to_vec()));
     let mut proposed: Vec<Proposal> = (0..points.len())
         .into_par_iter()
         .with_min_len(64)
         .flat_map_iter(|i| star(i, points, normals, spacings, &grid))
         .collect();
-    proposed.par_sort_unstable_by_key(|p| p.corners);
+    proposed.par_sort_unstable_by(|p, q| p.corners.cmp(&q.corners).then(p.radius.total_cmp(&q.radius)));
     let mut candidates: Vec<(u8, Proposal)> = Vec::new();
     for p in proposed {
         match candidates.last_mut() {
@@ -62,7 +61,7 @@ pub fn triangulate(points: &[DVec3], normals: &[DVec3], spacings: &[f64]) -> Mes
             break;
         }
     }
-    sheet.mesh()
+    sheet.triangles
 }
 
 /// A triangle that one of its corners proposes.
@@ -105,7 +104,8 @@ fn star(
         let (a, b) = (neighbors[a].0, neighbors[b].0);
         let sampled = [i as u32, a, b].iter().map(|&v| spacings[v as usize]).fold(0.0, f64::max);
         let radius = corner.length();
-        if a != b && radius <= WIDEST * sampled {
+        // Wider circles may hold points that are no neighbours.
+        if a != b && radius <= (WIDEST * sampled).min(0.5 * reach) {
             let mut corners = [i as u32, a, b];
             corners.sort_unstable();
             found.push(Proposal { corners, radius });
@@ -189,25 +189,6 @@ impl<'a> Sheet<'a> {
         self.triangles.push([a, b, c]);
         true
     }
-
-    /// Returns the mesh of the triangles, without points that are in none.
-    fn mesh(self) -> Mesh {
-        const UNUSED: u32 = u32::MAX;
-        let mut index = vec![UNUSED; self.points.len()];
-        let mut mesh = Mesh::default();
-        for triangle in self.triangles {
-            let corners = triangle.map(|v| {
-                let at = &mut index[v as usize];
-                if *at == UNUSED {
-                    *at = mesh.vertices.len() as u32;
-                    mesh.vertices.push(self.points[v as usize]);
-                }
-                *at
-            });
-            mesh.triangles.push(corners);
-        }
-        mesh
-    }
 }
 
 #[cfg(test)]
@@ -216,7 +197,7 @@ mod tests {
     use crate::cloud::thin;
     use proptest::prelude::*;
     use rand::RngExt;
-    use sms_core::Seed;
+    use sms_core::{Mesh, Seed};
     use std::f64::consts::PI;
 
     /// Distance between the points of these tests, metres.
@@ -237,7 +218,7 @@ mod tests {
     }
 
     fn meshed((points, normals): &(Vec<DVec3>, Vec<DVec3>)) -> Mesh {
-        triangulate(points, normals, &vec![SPACING_M; points.len()])
+        Mesh::new(points.clone(), triangulate(points, normals, &vec![SPACING_M; points.len()]))
     }
 
     /// Numbers of edges with one triangle and with two.
@@ -283,6 +264,22 @@ mod tests {
     }
 
     #[test]
+    fn a_box_is_nearly_closed_across_its_edges() {
+        let mut rng = Seed(6).rng();
+        let cuboid = packed(120_000, || {
+            let (axis, sign) = (rng.random_range(0..3), if rng.random::<bool>() { 1.0 } else { -1.0 });
+            let mut p = DVec3::from_array([0; 3].map(|_| rng.random_range(-0.1..0.1)));
+            p[axis] = 0.1 * sign;
+            (p, DVec3::AXES[axis] * sign)
+        });
+        let mesh = meshed(&cuboid);
+        let (open, shared) = edges(&mesh);
+        assert!(20 * open < shared, "{open} {shared}");
+        let area = mesh.area() / 0.24;
+        assert!((0.95..1.01).contains(&area), "{area}");
+    }
+
+    #[test]
     fn the_faces_of_a_wall_thinner_than_the_sampling_stay_apart() {
         let (front, back) = (square(0.001, true, 3), square(0.0, false, 4));
         let both = ([front.0.clone(), back.0.clone()].concat(), [front.1.clone(), back.1.clone()].concat());
@@ -307,7 +304,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_points_give_a_mesh_of_them(
+        fn any_points_give_triangles_with_edges_of_their_own(
             points in proptest::collection::vec(proptest::array::uniform3(-0.02..0.02f64), 0..60),
             repeated in any::<bool>(),
         ) {
@@ -316,9 +313,8 @@ mod tests {
                 points.extend(points.clone());
             }
             let normals: Vec<DVec3> = points.iter().map(|p| p.normalize_or(DVec3::Z)).collect();
-            let mesh = triangulate(&points, &normals, &vec![0.01; points.len()]);
-            edges(&mesh);
-            prop_assert!(mesh.vertices.iter().all(|v| points.contains(v)));
+            let triangles = triangulate(&points, &normals, &vec![0.01; points.len()]);
+            edges(&Mesh::new(points, triangles));
         }
     }
 }
