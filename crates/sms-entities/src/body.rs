@@ -8,9 +8,9 @@ use crate::support::Carrier;
 use crate::underside::contact_points;
 use crate::views::Views;
 use glamx::DVec3;
-use sms_core::{Entity, EntityKind, EntityShape, Mesh, Seed, Warnings};
+use sms_core::{Entity, EntityKind, EntityShape, Mesh, PointCloud, Seed, Warnings};
 use sms_mesh::{
-    SphereFit, cloud::mean_color, colors_from, convex_parts_cached, distances, median, primitive_mesh,
+    Plane, SphereFit, cloud::mean_color, colors_from, convex_parts_cached, distances, median, primitive_mesh,
 };
 
 /// Returns the entity of a draft, without convex parts.
@@ -88,28 +88,41 @@ pub(crate) fn mesh_entity(
         mesh = solid;
     }
     mesh.colors = colors_from(&cloud.points_w, &cloud.colors, &mesh, spacing);
-    let mut parts = Vec::new();
-    if exact.is_none() {
-        parts = convex_parts_cached(&mesh, &config.convex, config.parts_cache.as_deref());
-        crate::foot::keep_foot(&mut parts, &mesh, &rest, config.convex.max_vertices);
-    }
-    let stride = cloud.points_w.len().div_ceil(1500).max(1);
-    let sample: Vec<DVec3> = cloud.points_w.iter().copied().step_by(stride).collect();
     let observed_share = mesher::observed_share(&mesh, cloud, 1.5 * spacing);
-    let residual_m = median(distances(&sample, &mesh));
+    let residual_m = residual_m(cloud, &mesh, RESIDUAL_SAMPLES);
     let shape = exact.unwrap_or(EntityShape::Convex);
-    Some(Entity { parts, ..entity(draft, shape, mesh, observed_share, residual_m) })
+    let mut entity = entity(draft, shape, mesh, observed_share, residual_m);
+    // A fixed body needs them only if it has no measured surface.
+    if !draft.fixed {
+        add_parts(&mut entity, &rest, config);
+    }
+    Some(entity)
+}
+
+/// Splits the mesh of a body that is no exact solid into convex parts.
+pub(crate) fn add_parts(entity: &mut Entity, rest: &Plane, config: &EntitiesConfig) {
+    if entity.shape == EntityShape::Convex {
+        entity.parts = convex_parts_cached(&entity.mesh, &config.convex, config.parts_cache.as_deref());
+        crate::foot::keep_foot(&mut entity.parts, &entity.mesh, rest, config.convex.max_vertices);
+    }
+}
+
+/// Number of points of an object that its residual is measured at.
+const RESIDUAL_SAMPLES: usize = 1500;
+
+/// Returns the median distance of about `samples` points of the cloud from the mesh, metres.
+pub(crate) fn residual_m(cloud: &PointCloud, mesh: &Mesh, samples: usize) -> f64 {
+    let stride = cloud.points_w.len().div_ceil(samples).max(1);
+    let sample: Vec<DVec3> = cloud.points_w.iter().copied().step_by(stride).collect();
+    median(distances(&sample, mesh))
 }
 
 /// Gives a fixed body the open mesh of its measured surface.
 pub(crate) fn keep_surface(entity: &mut Entity, mut mesh: Mesh, spacing: f64) {
     let reach = 2.0 * spacing;
     mesh.colors = colors_from(&entity.cloud.points_w, &entity.cloud.colors, &mesh, reach);
-    let stride = entity.cloud.points_w.len().div_ceil(1500).max(1);
-    let sample: Vec<DVec3> = entity.cloud.points_w.iter().copied().step_by(stride).collect();
     entity.observed_share = mesher::observed_share(&mesh, &entity.cloud, reach);
-    entity.residual_m = median(distances(&sample, &mesh));
+    entity.residual_m = residual_m(&entity.cloud, &mesh, RESIDUAL_SAMPLES);
     entity.shape = EntityShape::TriMesh;
-    entity.parts.clear();
     entity.mesh = mesh;
 }

@@ -122,6 +122,8 @@ pub fn build_entities(
         for entity in entities.iter_mut().filter(|e| e.kind == EntityKind::Static) {
             if let Some(mesh) = meshes.remove(&entity.label) {
                 body::keep_surface(entity, mesh, config.environment.spacing);
+            } else if let Some((_, rest)) = rests.iter().find(|r| r.0 == entity.label) {
+                body::add_parts(entity, &rest.plane, config);
             }
         }
     }

@@ -1,10 +1,11 @@
 //! The static environment: all surface without a body.
 
+use crate::body::residual_m;
 use crate::config::EnvironmentConfig;
 use crate::support::Surroundings;
 use glamx::DVec3;
 use sms_core::{BACKGROUND, Entity, EntityKind, EntityShape, Mesh, PointCloud};
-use sms_mesh::{PointGrid, cloud::mean_color, colors_from, distances, median};
+use sms_mesh::{PointGrid, cloud::mean_color, colors_from};
 
 /// Returns the entity of the open `mesh` of the surface without a body.
 pub(crate) fn environment_entity(
@@ -16,9 +17,7 @@ pub(crate) fn environment_entity(
     let has_body = |label: u16| objects.iter().any(|e| e.label == label);
     let cloud = background_cloud(around, &mesh, 4.0 * settings.spacing, has_body);
     mesh.colors = colors_from(&cloud.points_w, &cloud.colors, &mesh, 2.0 * settings.spacing);
-    let stride = cloud.points_w.len().div_ceil(500).max(1);
-    let sample: Vec<DVec3> = cloud.points_w.iter().copied().step_by(stride).collect();
-    let residual_m = median(distances(&sample, &mesh));
+    let residual_m = residual_m(&cloud, &mesh, 500);
     Entity {
         label: BACKGROUND,
         name: "environment".into(),

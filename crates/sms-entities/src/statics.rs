@@ -167,11 +167,12 @@ impl Patch {
             let x = min.x + spacing * (column as f64 - 0.5 * (row % 2) as f64);
             u * x + v * (min.y + height * row as f64) + normal * self.plane.offset
         });
+        let points: Vec<DVec3> = points.filter(|&p_w| is_over(&self.outline, &self.plane, p_w)).collect();
         let enough = views.enough_frames();
-        let hidden = points.filter(|&p_w| {
-            is_over(&self.outline, &self.plane, p_w) && views.free_count(p_w, enough) < enough
-        });
-        hidden.map(|p_w| SurfacePoint { p_w, n_w: normal, spacing_m: spacing, label: self.label }).collect()
+        let free = views.free_counts(&points, enough);
+        let hidden = points.into_iter().zip(free).filter(|(_, free)| *free < enough);
+        let point = |p_w: DVec3| SurfacePoint { p_w, n_w: normal, spacing_m: spacing, label: self.label };
+        hidden.map(|(p_w, _)| point(p_w)).collect()
     }
 }
 
