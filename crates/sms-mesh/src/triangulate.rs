@@ -9,7 +9,6 @@ use crate::point_grid::PointGrid;
 use crate::statistics::median;
 use glamx::{DVec2, DVec3};
 use rayon::prelude::*;
-use std::cmp::Reverse;
 use std::collections::HashSet;
 
 /// Least cosine between the normals of neighbours: right angles are closed.
@@ -43,9 +42,7 @@ pub fn triangulate(points: &[DVec3], normals: &[DVec3], spacings: &[f64]) -> Vec
         }
     }
     candidates.sort_by(|(a, p), (b, q)| {
-        let key = |votes: &u8, p: &Proposal| (Reverse(*votes), p.radius, p.corners);
-        let ((va, ra, ca), (vb, rb, cb)) = (key(a, p), key(b, q));
-        va.cmp(&vb).then(ra.total_cmp(&rb)).then(ca.cmp(&cb))
+        b.cmp(a).then(p.radius.total_cmp(&q.radius)).then(p.corners.cmp(&q.corners))
     });
     let agreed = candidates.partition_point(|(votes, _)| *votes > 1);
     let mut sheet = Sheet::new(points, normals);

@@ -1,20 +1,13 @@
 //! Frames of a plane in closed form.
 
-use crate::{SurfaceConfig, SurfaceTolerance};
+use crate::SurfaceConfig;
 use glamx::DVec3;
 use sms_core::{Camera, Image, Intrinsics};
 use sms_frames::{DepthNoise, Frame};
 
 /// The settings of the scan.
 pub(crate) fn config() -> SurfaceConfig {
-    SurfaceConfig {
-        tolerance: SurfaceTolerance { min_m: 0.005, sigmas: 3.0 },
-        spacing_px: 2.5,
-        edge_spacing: 0.5,
-        edge_threshold: 0.08,
-        min_cosine: 0.1,
-        first_alike: 0.3,
-    }
+    SurfaceConfig::default()
 }
 
 /// A camera at `eye_z_m` on the z axis that looks at the origin and measures a plane at height `surface_z_m`.
