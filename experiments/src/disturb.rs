@@ -141,6 +141,7 @@ mod tests {
             depth: Image::filled(16, 8, 0.5),
             normal_c: Image::filled(16, 8, [0.0, 0.0, -1.0]),
             color_path: "".into(),
+            attached: None,
             mask_path: None,
         };
         Sequence {

@@ -41,6 +41,7 @@ pub(crate) fn over_plate(cameras: usize, width: usize) -> (Sequence, Labels) {
         ),
         normal_c: Image::filled(100, 100, [0.0, 0.0, -1.0]),
         color_path: "none".into(),
+        attached: None,
         mask_path: None,
     };
     let half = LabelMap::from_vec(100, 100, (0..10_000).map(|i| u16::from(i % 100 < 50)).collect::<Vec<_>>());

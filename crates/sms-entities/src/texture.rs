@@ -243,6 +243,7 @@ mod tests {
             depth: Image::filled(100, 100, 1.0),
             normal_c: Image::filled(100, 100, [0.0, 0.0, -1.0]),
             color_path: "none".into(),
+            attached: None,
             mask_path: None,
         };
         let sequence =

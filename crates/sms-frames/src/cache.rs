@@ -18,8 +18,10 @@ use sms_core::{
 };
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 const VERSION: u32 = 2;
+const ATTACHED: &str = "attached.png";
 const MAGIC: &[u8; 16] = b"sms geometry 1\r\n";
 
 #[derive(Serialize, Deserialize)]
@@ -31,6 +33,9 @@ struct SequenceFile {
     /// The same pose, bit for bit.
     x_world_recording_pose: DPose3,
     settings: serde_json::Value,
+    /// Image of the pixels that show something attached to the camera: white.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    attached: Option<String>,
     frames: Vec<FrameEntry>,
 }
 
@@ -61,6 +66,10 @@ impl Sequence {
         let written: Vec<Result<(), FramesError>> =
             self.frames.par_iter().map(|f| write_png_color(&dir.join(name(f)), &f.color)).collect();
         written.into_iter().collect::<Result<(), _>>()?;
+        let attached = self.frames.iter().find_map(|f| f.attached.as_ref());
+        if let Some(pixels) = attached {
+            write_png_color(&dir.join(ATTACHED), &pixels.map(|&is| if is { [255; 3] } else { [0; 3] }))?;
+        }
         let geometry = geometry_file(dir);
         let blocks: Vec<std::io::Result<[Vec<u8>; 2]>> = self
             .frames
@@ -84,6 +93,7 @@ impl Sequence {
             x_world_recording_pose: self.x_world_recording,
             // Plain settings always have a JSON form; no program reads the record.
             settings: serde_json::to_value(settings).unwrap_or_default(),
+            attached: attached.map(|_| ATTACHED.into()),
             frames: self
                 .frames
                 .iter()
@@ -111,6 +121,10 @@ impl Sequence {
         let damaged = || damaged(dir);
         let blocks =
             split_blocks(&geometry).filter(|b| b.len() == 2 * file.frames.len()).ok_or_else(damaged)?;
+        let attached = match &file.attached {
+            Some(name) => Some(Arc::new(read_png_color(&dir.join(name))?.map(|c| c[0] > 127))),
+            None => None,
+        };
         let frames: Vec<Result<Frame, FramesError>> = file
             .frames
             .into_par_iter()
@@ -119,10 +133,14 @@ impl Sequence {
                 let color_file = dir.join(&entry.color);
                 let color = read_png_color(&color_file)?;
                 let k = entry.camera.intrinsics;
-                if color.size() != (k.width, k.height) {
+                let other_size = |size: (usize, usize), path: &Path| {
                     let what = "the size of this cached image differs from the camera's";
-                    let cure = "scan the recording again";
-                    return Err(InputError::new(what, &color_file, cure).into());
+                    (size != (k.width, k.height))
+                        .then(|| InputError::new(what, path, "scan the recording again"))
+                };
+                let masked = attached.as_ref().and_then(|a| other_size(a.size(), &dir.join(ATTACHED)));
+                if let Some(error) = other_size(color.size(), &color_file).or(masked) {
+                    return Err(error.into());
                 }
                 let depth =
                     depth_from_bytes(inflate(blocks[2 * i]), k.width, k.height).ok_or_else(damaged)?;
@@ -136,6 +154,7 @@ impl Sequence {
                     color,
                     depth,
                     normal_c,
+                    attached: attached.clone(),
                     color_path: entry.color_path,
                     mask_path: entry.mask_path,
                 })
@@ -313,6 +332,7 @@ mod tests {
                 (0..24).map(|i| [(i as f32 * 1000.0).round() / NORMAL_GRID, off_grid, -1.0]).collect(),
             ),
             color_path: PathBuf::from("rec/color.png"),
+            attached: None,
             mask_path: None,
         };
         Sequence { frames: vec![frame(0), frame(1)], x_world_recording: pose, source: PathBuf::from("rec") }
@@ -320,9 +340,11 @@ mod tests {
 
     #[test]
     fn everything_comes_back_bit_for_bit() {
-        for off_grid in [0.0, 0.123_456_79] {
+        let attached = Arc::new(Image::from_vec(6, 4, (0..24).map(|i| i % 7 == 0).collect()));
+        for (off_grid, attached) in [(0.0, None), (0.123_456_79, Some(attached))] {
             let dir = tempfile::tempdir().unwrap();
-            let saved = sequence(off_grid);
+            let mut saved = sequence(off_grid);
+            saved.frames.iter_mut().for_each(|f| f.attached = attached.clone());
             saved.save_with_settings(dir.path(), &()).unwrap();
             let read = Sequence::load(dir.path()).unwrap();
             assert_eq!(read.x_world_recording, saved.x_world_recording);
@@ -336,6 +358,7 @@ mod tests {
                     a.camera == b.camera
                         && a.color == b.color
                         && a.depth == b.depth
+                        && a.attached == b.attached
                         && a.normal_c == b.normal_c
                 );
             }

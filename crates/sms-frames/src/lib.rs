@@ -19,6 +19,7 @@
 //! ```
 
 mod align;
+mod attached;
 mod cache;
 mod check;
 mod colors;

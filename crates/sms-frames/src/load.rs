@@ -1,12 +1,14 @@
 //! Loading: images are read, undistorted and resampled, normals computed, the world aligned.
 
 use crate::align::align;
+use crate::attached::{DepthView, attached};
 use crate::keyframes::keyframes;
 use crate::normals::normals_from_depth;
 use crate::resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
 use crate::{Frame, FramesError, LoadSettings, Recording, Sequence};
 use rayon::prelude::*;
-use sms_core::{Camera, InputError, StageContext, read_color};
+use sms_core::{Camera, InputError, StageContext, Warnings, read_color};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Returns the indices of the recorded frames that `settings` select.
@@ -68,6 +70,7 @@ pub fn load(
     if frames.is_empty() {
         return Err(recording.without_depth().into());
     }
+    leave_attached_out(&mut frames, warnings);
     let x_world_recording = align(recording, settings.align, &settings.noise, &frames, warnings);
     for frame in &mut frames {
         frame.camera.x_wc = x_world_recording * frame.camera.x_wc;
@@ -75,6 +78,21 @@ pub fn load(
     let (w, h) = frames[0].color.size();
     progress.end(&format!("{} frames at {w} × {h}", frames.len()));
     Ok(Sequence { frames, x_world_recording, source: recording.root.clone() })
+}
+
+/// Removes the measurements of pixels that show something attached to the camera.
+fn leave_attached_out(frames: &mut [Frame], warnings: &Warnings) {
+    let views: Vec<DepthView<'_>> = frames.iter().map(DepthView::from).collect();
+    let Some(found) = attached(&views) else { return };
+    warnings.add("frames", "attached_to_camera", found.message(), "");
+    let pixels = Arc::new(found.pixels);
+    frames.par_iter_mut().for_each(|frame| {
+        for (i, _) in pixels.data.iter().enumerate().filter(|(_, attached)| **attached) {
+            frame.depth.data[i] = 0.0;
+            frame.normal_c.data[i] = [0.0; 3];
+        }
+        frame.attached = Some(Arc::clone(&pixels));
+    });
 }
 
 fn is_empty(recording: &Recording, index: usize) -> bool {
@@ -115,6 +133,7 @@ fn read_frame(recording: &Recording, index: usize, settings: &LoadSettings) -> R
         color: resize_color(&color, intrinsics.width, intrinsics.height),
         depth,
         normal_c,
+        attached: None,
         color_path: recorded.color_path.clone(),
         mask_path: recorded.mask_path.clone(),
     })

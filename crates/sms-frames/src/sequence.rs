@@ -3,8 +3,9 @@
 use crate::{DepthNoise, normals_from_depth};
 use glamx::DPose3;
 use rayon::prelude::*;
-use sms_core::{Camera, ColorImage, DepthImage, NormalImage};
+use sms_core::{Camera, ColorImage, DepthImage, Image, NormalImage};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// One posed RGB-D frame; colour, depth and normals have the size of `camera.intrinsics`.
 #[derive(Debug, Clone)]
@@ -23,10 +24,19 @@ pub struct Frame {
     pub depth_noise: DepthNoise,
     /// Unit normals from depth in the camera frame `C`, facing the camera; zero where unknown.
     pub normal_c: NormalImage,
+    /// Pixels that show something attached to the camera, such as a gripper, in place of the scene. They have no depth and no normals.
+    pub attached: Option<Arc<Image<bool>>>,
     /// The colour file this frame came from.
     pub color_path: PathBuf,
     /// The label image that came with the recording.
     pub mask_path: Option<PathBuf>,
+}
+
+impl Frame {
+    /// Returns whether pixel `index`, counted row by row, shows the scene rather than something attached to the camera.
+    pub fn shows_scene(&self, index: usize) -> bool {
+        self.attached.as_ref().is_none_or(|attached| !attached.data[index])
+    }
 }
 
 /// A loaded recording: frames at scan resolution in a z-up metric world.

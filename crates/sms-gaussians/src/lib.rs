@@ -22,6 +22,7 @@
 //!     depth: Image::filled(32, 20, 0.5),
 //!     normal_c: Image::filled(32, 20, [0.0, 0.0, -1.0]),
 //!     color_path: "000000.png".into(),
+//!     attached: None,
 //!     mask_path: None,
 //! };
 //! let sequence =

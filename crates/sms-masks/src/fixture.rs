@@ -49,6 +49,7 @@ pub(crate) fn blank_sequence(frames: usize, width: usize, height: usize) -> Sequ
         depth: Image::filled(width, height, 0.0),
         normal_c: Image::filled(width, height, [0.0; 3]),
         color_path: format!("color/{index:06}.png").into(),
+        attached: None,
         mask_path: None,
     };
     Sequence {

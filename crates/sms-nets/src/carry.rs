@@ -78,6 +78,7 @@ mod tests {
             depth: DepthImage::filled(80, 60, 1.0),
             normal_c: NormalImage::filled(80, 60, [0.0, 0.0, -1.0]),
             color_path: "none".into(),
+            attached: None,
             mask_path: None,
         }
     }

@@ -23,6 +23,7 @@ pub(crate) fn facing_plane(eye_z_m: f64, surface_z_m: f64) -> Frame {
         depth: Image::filled(64, 40, (eye_z_m - surface_z_m).abs() as f32),
         normal_c: Image::filled(64, 40, [0.0, 0.0, -1.0]),
         color_path: "".into(),
+        attached: None,
         mask_path: None,
     }
 }

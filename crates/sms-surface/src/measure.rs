@@ -253,6 +253,7 @@ mod tests {
             depth,
             normal_c: Image::filled(32, 20, [0.0, 0.0, -1.0]),
             color_path: "".into(),
+            attached: None,
             mask_path: None,
         }
     }

@@ -132,6 +132,7 @@ mod tests {
             depth: Image::from_vec(90, 60, pixels().map(|p| p.0 as f32).collect()),
             normal_c: Image::filled(90, 60, [0.0; 3]),
             color_path: "nowhere.png".into(),
+            attached: None,
             mask_path: None,
         };
         (frame, Image::from_vec(90, 60, pixels().map(|p| p.1).collect()))

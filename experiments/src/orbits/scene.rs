@@ -188,6 +188,7 @@ impl Rendered {
                 depth: seen.depth_noisy,
                 normal_c,
                 color_path: "rendered".into(),
+                attached: None,
                 mask_path: None,
             });
         }

@@ -33,6 +33,7 @@ fn prepared() -> Prepared {
             depth: view.depth,
             normal_c: Image::filled(160, 100, [0.0, 0.0, -1.0]),
             color_path: "".into(),
+            attached: None,
             mask_path: None,
         });
     }

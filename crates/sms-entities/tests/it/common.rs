@@ -242,6 +242,7 @@ pub fn observe(objects: &[Shape], clutter: &[Shape], how: &Observation, seed: u6
             depth,
             normal_c,
             color_path: Default::default(),
+            attached: None,
             mask_path: None,
         });
         maps.push(map);

@@ -7,13 +7,14 @@ mod report;
 
 pub use report::{CheckReport, Finding, OverlapError, PixelCenterFit, ReadingFit, Severity, UnitFit};
 
+use crate::attached::{DepthView, MOST_VIEWS, attached};
 use crate::depth_file::read_depth;
 use crate::load::selected_frames;
-use crate::{FramesError, Notice, Recording};
+use crate::{FramesError, LoadSettings, Notice, Recording, resample_depth, target_intrinsics};
 use overlap::{DepthSamples, median};
 use rayon::prelude::*;
 use readings::CheckData;
-use sms_core::{Cancel, Image, Progress, read_color};
+use sms_core::{Camera, Cancel, DepthImage, Image, Progress, read_color};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -120,6 +121,9 @@ pub fn check(
     };
     readings::judge(&data, &mut report);
     judge_quality(&data, &mut report);
+    if recording.has_poses && report.approved() {
+        report.findings.extend(attached_finding(recording, cancel)?);
+    }
     report.findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
     progress.end(match (report.approved(), report.has_poses) {
         (true, true) => "the declared conventions fit the data",
@@ -127,6 +131,35 @@ pub fn check(
         (false, _) => "faults were found",
     });
     Ok(report)
+}
+
+/// Reports pixels that show something attached to the camera.
+fn attached_finding(recording: &Recording, cancel: &Cancel) -> Result<Option<Finding>, FramesError> {
+    let settings = LoadSettings::default();
+    let n = recording.frames.len();
+    let count = n.min(MOST_VIEWS);
+    let views: Vec<Result<Option<(Camera, DepthImage)>, FramesError>> = (0..count)
+        .into_par_iter()
+        .map(|k| {
+            cancel.check()?;
+            let frame = &recording.frames[k * n / count];
+            let intrinsics = target_intrinsics(&frame.color_lens, settings.long_side);
+            // An empty image was reported or accepted before.
+            let Ok(native) = recording.read_depth_m(k * n / count) else { return Ok(None) };
+            let depth = resample_depth(&native, &frame.depth_lens, &intrinsics, &settings.noise);
+            Ok(Some((Camera::new(intrinsics, frame.x_rc), depth)))
+        })
+        .collect();
+    let views: Vec<(Camera, DepthImage)> =
+        views.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
+    let views: Vec<DepthView<'_>> =
+        views.iter().map(|(camera, depth)| DepthView { camera, depth, noise: settings.noise }).collect();
+    Ok(attached(&views).map(|found| Finding {
+        severity: Severity::Info,
+        code: "attached_to_camera",
+        what: found.message(),
+        cure: String::new(),
+    }))
 }
 
 /// Returns the frames from which depth is carried over, evenly spread, within the memory budget.

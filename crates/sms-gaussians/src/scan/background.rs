@@ -28,7 +28,8 @@ pub(crate) fn background_color(frames: &[&Frame]) -> [f32; 3] {
 /// Returns sum and number of the pixels of a frame that are clear of depth, and the number of all pixels.
 fn sum_of_frame(frame: &Frame) -> ([u64; 3], u64, u64) {
     let (width, height) = frame.depth.size();
-    let measured: Vec<bool> = frame.depth.data.iter().map(|&z| z > 0.0).collect();
+    let is_clear = |(i, &z): (usize, &f32)| z <= 0.0 && frame.shows_scene(i);
+    let measured: Vec<bool> = frame.depth.data.iter().enumerate().map(|pixel| !is_clear(pixel)).collect();
     let mut in_row = vec![false; measured.len()];
     for y in 0..height {
         let row = y * width..(y + 1) * width;

@@ -17,7 +17,7 @@ pub struct ViewScore {
     pub frame_index: usize,
     /// Whether the frame was excluded from training.
     pub held_out: bool,
-    /// Peak signal-to-noise ratio of the colour over all pixels, decibels.
+    /// Peak signal-to-noise ratio of the colour over all pixels that show the scene, decibels.
     pub psnr_db: f64,
     /// PSNR over pixels with measured depth: Gaussians are seeded only at these pixels.
     pub psnr_measured_db: f64,
@@ -51,7 +51,8 @@ pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> 
         || median(&mut errors),
         || {
             let (mut all, mut at_depth) = ((0.0, 0usize), (0.0, 0usize));
-            for (&squared, &measured) in squared.iter().zip(&frame.depth.data) {
+            let pixels = squared.iter().zip(&frame.depth.data).enumerate();
+            for (_, (&squared, &measured)) in pixels.filter(|(i, _)| frame.shows_scene(*i)) {
                 all = (all.0 + squared, all.1 + 3);
                 if measured > 0.0 {
                     at_depth = (at_depth.0 + squared, at_depth.1 + 3);
@@ -98,8 +99,8 @@ impl Confusion {
     }
 
     /// Counts one view. Pixels without any Gaussian count as background.
-    pub(crate) fn add(&mut self, maps: &RenderedMaps, observed: &LabelMap) {
-        for (i, &truth) in observed.data.iter().enumerate() {
+    pub(crate) fn add(&mut self, frame: &Frame, maps: &RenderedMaps, observed: &LabelMap) {
+        for (i, &truth) in observed.data.iter().enumerate().filter(|(i, _)| frame.shows_scene(*i)) {
             let rendered = if maps.alpha[i] >= COVERED { usize::from(maps.label[i]) } else { 0 };
             if usize::from(truth) < self.classes && rendered < self.classes {
                 self.counts[usize::from(truth) * self.classes + rendered] += 1;
@@ -163,6 +164,7 @@ mod tests {
             depth,
             normal_c: Image::filled(4, 2, [0.0, 0.0, -1.0]),
             color_path: "".into(),
+            attached: None,
             mask_path: None,
         };
         let mut maps = RenderedMaps {
@@ -185,7 +187,7 @@ mod tests {
         let mut confusion = Confusion::new(2);
         assert_eq!(confusion.mean_iou(), None);
         let truth = Image::from_vec(4, 2, vec![1, 0, 1, 1, 1, 1, 0, 0]);
-        confusion.add(&maps, &truth);
+        confusion.add(&frame, &maps, &truth);
         // Class 1: 5 of the 7 pixels rendered or observed as class 1; class 0: 1 of 3.
         assert!((confusion.mean_iou().unwrap() - 0.5 * (5.0 / 7.0 + 1.0 / 3.0)).abs() < 1e-12);
     }

@@ -112,6 +112,7 @@ pub(crate) fn record(r: Recorded) -> (Sequence, Labels) {
             depth,
             normal_c,
             color_path: format!("{index:06}.png").into(),
+            attached: None,
             mask_path: None,
         });
     }

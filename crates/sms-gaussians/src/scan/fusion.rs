@@ -92,6 +92,7 @@ mod tests {
             depth: Image::filled(32, 20, (eye_z_m - surface_z_m).abs() as f32),
             normal_c: Image::filled(32, 20, [0.0, 0.0, -1.0]),
             color_path: "".into(),
+            attached: None,
             mask_path: None,
         }
     }

@@ -36,6 +36,7 @@ pub(crate) fn uncovered(frame: &Frame, rendered: &RenderedMaps, config: &ScanCon
     let is_open = |i: &u32| {
         let i = *i as usize;
         frame.depth.data[i] <= 0.0
+            && frame.shows_scene(i)
             && rendered.alpha[i] < covered
             && differs(rendered.color[i], frame.color.data[i])
     };

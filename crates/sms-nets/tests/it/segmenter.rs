@@ -46,6 +46,7 @@ fn sequence(frames: usize) -> Sequence {
         depth: DepthImage::filled(150, 100, 1.0),
         normal_c: NormalImage::filled(150, 100, [0.0, 0.0, -1.0]),
         color_path: PathBuf::from("none"),
+        attached: None,
         mask_path: None,
     };
     Sequence {

@@ -166,7 +166,7 @@ impl Schedule<'_> {
             let began = Instant::now();
             let score = |(&i, maps): (&usize, &RenderedMaps)| {
                 let mut own = Confusion::new(classes);
-                own.add(maps, &self.labels.maps[i]);
+                own.add(&self.sequence.frames[i], maps, &self.labels.maps[i]);
                 let score = score_view(&self.sequence.frames[i], maps, held_out);
                 (ViewScore { frame_index: i, ..score }, own)
             };

@@ -20,6 +20,7 @@ pub(crate) fn frame(index: usize, camera: Camera, color: ColorImage, depth: Dept
         depth,
         normal_c,
         color_path: "none".into(),
+        attached: None,
         mask_path: None,
     }
 }

@@ -1,0 +1,245 @@
+//! Pixels that show something attached to the camera: a gripper, a mount, a part of the robot.
+//!
+//! What moves with the camera has the same depth at the same pixel in every frame, and its points are not where the other frames
+//! see the scene. A wall along which the camera moves has the same depth at a pixel too, but the other frames measure it where its
+//! points project to. Only pixels with both signs are attached; if the camera hardly moves, none is.
+
+use crate::{DepthNoise, Frame};
+use rayon::prelude::*;
+use sms_core::{Camera, DepthImage, Image};
+
+/// Number of frames, spread over the sequence, that are examined.
+pub(crate) const MOST_VIEWS: usize = 40;
+/// Least number of measurements at a pixel, and of other frames that see the place of a point.
+const LEAST: usize = 4;
+/// Least share of the frames that measure a pixel.
+const LEAST_MEASURED: f64 = 0.3;
+/// Least share of a pixel's measurements that have its usual depth.
+const LEAST_ALIKE: f64 = 0.6;
+/// Depths of one surface differ by at most this share, or by [`SIGMAS`] of noise: poses have errors, too.
+const ALIKE: f64 = 0.03;
+/// Standard deviations between depths of one surface.
+const SIGMAS: f64 = 3.0;
+/// Largest share of the other frames that measure an attached point in the scene. Among pixels of constant depth of three real
+/// recordings it is 0.01 or less for parts of the robot (95 %), and 0.13 or more for the scene (95 %).
+const MOST_CONFIRMED: f64 = 0.05;
+/// Half width of the window in which most pixels that are known must be attached, pixels.
+const WINDOW: i64 = 2;
+/// If more of the measured pixels than this share seem attached, the poses are at fault.
+const MOST_ATTACHED: f64 = 0.5;
+
+/// Depth of one frame.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct DepthView<'a> {
+    /// Intrinsics and pose.
+    pub(crate) camera: &'a Camera,
+    /// Depth in metres, 0 where there is none.
+    pub(crate) depth: &'a DepthImage,
+    /// Its noise.
+    pub(crate) noise: DepthNoise,
+}
+
+impl<'a> From<&'a Frame> for DepthView<'a> {
+    fn from(frame: &'a Frame) -> Self {
+        Self { camera: &frame.camera, depth: &frame.depth, noise: frame.depth_noise }
+    }
+}
+
+impl DepthView<'_> {
+    fn tolerance_m(&self, z: f64) -> f64 {
+        (SIGMAS * self.noise.sigma_m(z)).max(ALIKE * z)
+    }
+}
+
+/// Pixels that show something attached to the camera.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Attached {
+    /// The pixels.
+    pub(crate) pixels: Image<bool>,
+    /// Their share of the measurements.
+    pub(crate) share: f64,
+}
+
+impl Attached {
+    /// Returns the finding for the user.
+    pub(crate) fn message(&self) -> String {
+        let percent = 100.0 * self.share;
+        format!(
+            "{percent:.1} % of the measured pixels show something that moves with the camera, such as a gripper; \
+             a scan leaves them out"
+        )
+    }
+}
+
+/// Finds the pixels that show something attached to the camera. `None` if there are none, if the images differ in size, or if
+/// the poses do not tell.
+pub(crate) fn attached(views: &[DepthView<'_>]) -> Option<Attached> {
+    let size = views.first()?.depth.size();
+    if views.iter().any(|v| v.depth.size() != size) {
+        return None;
+    }
+    let count = views.len().min(MOST_VIEWS);
+    let views: Vec<DepthView<'_>> = (0..count).map(|i| views[i * views.len() / count]).collect();
+    let usual = usual_depth(&views, size);
+    let measured = measured(&views, size);
+    let verdict = |i: usize| match (measured.data[i], usual.data[i]) {
+        (0, _) => None,
+        (_, 0.0) => Some(false),
+        _ => is_refuted(&views, &usual, (i % size.0, i / size.0)),
+    };
+    let verdicts: Vec<Option<bool>> = (0..usual.data.len()).into_par_iter().map(verdict).collect();
+    let mut verdicts = Image::from_vec(size.0, size.1, verdicts);
+    follow_surfaces(&mut verdicts, &usual, |z| views[0].tolerance_m(z));
+    let most = |i: usize| {
+        let (x, y) = ((i % size.0) as i64, (i / size.0) as i64);
+        let window = (-WINDOW..=WINDOW).flat_map(|dy| (-WINDOW..=WINDOW).map(move |dx| (dx, dy)));
+        let known: Vec<bool> =
+            window.filter_map(|(dx, dy)| verdicts.get(x + dx, y + dy).copied().flatten()).collect();
+        2 * known.iter().filter(|attached| **attached).count() > known.len()
+    };
+    let pixels: Vec<bool> = (0..usual.data.len()).into_par_iter().map(most).collect();
+    let of = |is: &dyn Fn(usize) -> bool| -> usize {
+        measured.data.iter().enumerate().filter(|(i, _)| is(*i)).map(|(_, n)| *n).sum()
+    };
+    let share = of(&|i| pixels[i]) as f64 / of(&|_| true).max(1) as f64;
+    let attached = Attached { pixels: Image::from_vec(size.0, size.1, pixels), share };
+    (share > 0.0 && share <= MOST_ATTACHED).then_some(attached)
+}
+
+/// Marks pixels of usual depth that no other frame tells of if they continue the surface of attached pixels.
+fn follow_surfaces(verdicts: &mut Image<Option<bool>>, usual: &DepthImage, tolerance_m: impl Fn(f64) -> f64) {
+    let width = verdicts.width;
+    let mut open: Vec<usize> = (0..verdicts.data.len()).filter(|&i| verdicts.data[i] == Some(true)).collect();
+    while let Some(i) = open.pop() {
+        let (x, y, z) = ((i % width) as i64, (i / width) as i64, f64::from(usual.data[i]));
+        for (x, y) in [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)] {
+            let is_open = verdicts.get(x, y) == Some(&None);
+            let beside = usual.get(x, y).map_or(0.0, |&z| f64::from(z));
+            if is_open && beside > 0.0 && (beside - z).abs() <= tolerance_m(z) {
+                let next = y as usize * width + x as usize;
+                verdicts.data[next] = Some(true);
+                open.push(next);
+            }
+        }
+    }
+}
+
+/// Returns the number of frames that measure each pixel.
+fn measured(views: &[DepthView<'_>], (width, height): (usize, usize)) -> Image<usize> {
+    let count = |i: usize| views.iter().filter(|v| v.depth.data[i] > 0.0).count();
+    Image::from_vec(width, height, (0..width * height).into_par_iter().map(count).collect())
+}
+
+/// Returns the depth that most frames have at each pixel, 0 where there is none.
+fn usual_depth(views: &[DepthView<'_>], (width, height): (usize, usize)) -> DepthImage {
+    let least = LEAST.max((LEAST_MEASURED * views.len() as f64).ceil() as usize);
+    let usual = |i: usize| {
+        let mut depths: Vec<f32> = views.iter().map(|v| v.depth.data[i]).filter(|&z| z > 0.0).collect();
+        if depths.len() < least {
+            return 0.0;
+        }
+        depths.sort_by(f32::total_cmp);
+        let middle = f64::from(depths[depths.len() / 2]);
+        let tolerance = views[0].tolerance_m(middle);
+        let alike = depths.iter().filter(|&&z| (f64::from(z) - middle).abs() <= tolerance).count();
+        if alike as f64 >= LEAST_ALIKE * depths.len() as f64 { middle as f32 } else { 0.0 }
+    };
+    Image::from_vec(width, height, (0..width * height).into_par_iter().map(usual).collect())
+}
+
+/// Returns whether the other frames see through the points that a pixel of usual depth measures; `None` if too few see their places. Where another frame shows a
+/// pixel of usual depth at the place of a point, a surface that moves with the camera would explain it as well: that frame does
+/// not confirm the point.
+fn is_refuted(views: &[DepthView<'_>], usual: &DepthImage, (x, y): (usize, usize)) -> Option<bool> {
+    let is_usual = |view: &DepthView<'_>, (x, y): (usize, usize), z: f64| {
+        let usual = f64::from(usual[(x, y)]);
+        usual > 0.0 && (z - usual).abs() <= view.tolerance_m(usual)
+    };
+    let (mut confirmed, mut through) = (0, 0usize);
+    for (i, view) in views.iter().enumerate() {
+        let z = f64::from(view.depth[(x, y)]);
+        if !(z > 0.0 && is_usual(view, (x, y), z)) {
+            continue;
+        }
+        let p_w = view.camera.unproject_pixel(x, y, z);
+        for other in views[..i].iter().chain(&views[i + 1..]) {
+            let Some((u, v, z)) = other.camera.project(p_w) else { continue };
+            let Some(pixel) = other.camera.pixel_at(u, v) else { continue };
+            let seen = f64::from(other.depth[pixel]);
+            let tolerance = other.tolerance_m(z);
+            if seen > z + tolerance {
+                through += 1;
+            } else if seen > 0.0 && (seen - z).abs() <= tolerance && !is_usual(other, pixel, seen) {
+                confirmed += 1;
+            }
+        }
+    }
+    let seen = confirmed + through;
+    (seen >= LEAST).then_some(confirmed as f64 <= MOST_CONFIRMED * seen as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glamx::{DPose3, DQuat, DVec3};
+    use sms_core::Intrinsics;
+
+    const SIZE: (usize, usize) = (64, 48);
+
+    /// Depth of the wall z = 1 m, and of something at 0.15 m before the camera that fills the columns from `part` on.
+    fn view(x_wc: DPose3, part: usize) -> (Camera, DepthImage) {
+        let camera = Camera::new(Intrinsics::from_fov(SIZE.0, SIZE.1, 1.0), x_wc);
+        let mut depth = Image::filled(SIZE.0, SIZE.1, 0.0f32);
+        for (x, y) in (0..SIZE.0).flat_map(|x| (0..SIZE.1).map(move |y| (x, y))) {
+            let ray_w = camera.unproject_pixel(x, y, 1.0) - camera.center_w();
+            let wall = (1.0 - camera.center_w().z) / ray_w.z;
+            depth[(x, y)] = if x >= part { 0.15 } else { wall as f32 };
+        }
+        (camera, depth)
+    }
+
+    fn found(views: &[(Camera, DepthImage)]) -> Option<Attached> {
+        let of = |(camera, depth)| DepthView { camera, depth, noise: DepthNoise::default() };
+        attached(&views.iter().map(|(camera, depth)| of((camera, depth))).collect::<Vec<_>>())
+    }
+
+    fn turning(i: usize) -> DPose3 {
+        let turn = DQuat::from_rotation_y(0.1 * (i as f64 - 5.0));
+        DPose3::from_parts(DVec3::new(0.05 * (5.0 - i as f64), 0.02 * i as f64, 0.0), turn)
+    }
+
+    #[test]
+    fn a_part_that_moves_with_the_camera_is_found_and_the_wall_is_not() {
+        let views: Vec<_> = (0..10).map(|i| view(turning(i), 50)).collect();
+        let found = found(&views).unwrap();
+        // Its border is found to within the window.
+        for (i, is_attached) in found.pixels.data.iter().enumerate() {
+            let beyond = (i % SIZE.0) as i64 - 50;
+            let expected = beyond >= 0;
+            assert!(
+                *is_attached == expected || beyond.abs() <= WINDOW,
+                "pixel {:?}",
+                (i % SIZE.0, i / SIZE.0)
+            );
+        }
+        assert!((found.share - 14.0 / 64.0).abs() < 1.0 / 64.0);
+    }
+
+    #[test]
+    fn nothing_is_attached_to_a_camera_that_sees_the_wall_alone() {
+        let turns: Vec<_> = (0..10).map(|i| view(turning(i), SIZE.0)).collect();
+        assert_eq!(found(&turns), None);
+        // Along the wall, every pixel has the same depth in all frames.
+        let along = |i: usize| DPose3::from_translation(DVec3::X * 0.05 * i as f64);
+        let slides: Vec<_> = (0..10).map(|i| view(along(i), SIZE.0)).collect();
+        assert_eq!(found(&slides), None);
+    }
+
+    #[test]
+    fn a_camera_at_rest_does_not_tell() {
+        let views: Vec<_> = (0..10).map(|_| view(DPose3::identity(), 50)).collect();
+        assert_eq!(found(&views), None);
+        assert_eq!(found(&views[..2]), None);
+        assert_eq!(found(&[]), None);
+    }
+}
