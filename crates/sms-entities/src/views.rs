@@ -265,8 +265,8 @@ impl<'a> Views<'a> {
         2 * hidden > frames && hidden >= self.sequence.len().min(2)
     }
 
-    /// Returns, for every point, the label that most frames have for the surface there; `None` where fewer than
-    /// [`Self::enough_frames`] measure one, or more see through the point.
+    /// Returns, for every point, the label that most frames have for the surface there; `None` where none
+    /// measures one, or more see through the point.
     pub(crate) fn labels_of(&self, points_w: &[DVec3]) -> Vec<Option<u16>> {
         let label_of = |i: usize, frames: &[usize]| {
             let mut votes: Vec<(u16, usize)> = Vec::new();
@@ -285,7 +285,7 @@ impl<'a> Views<'a> {
                 }
             }
             let most = votes.into_iter().max_by_key(|&(label, count)| (count, std::cmp::Reverse(label)))?;
-            (seen >= self.enough_frames() && free <= seen).then_some(most.0)
+            (free <= seen).then_some(most.0)
         };
         ask_frames(points_w, self, |pixel| pixel.may_be_seen(), label_of)
     }
