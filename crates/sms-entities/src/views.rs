@@ -254,6 +254,10 @@ impl<'a> Views<'a> {
         let (mut hidden, mut frames) = (0, 0);
         for f in self.frames_near(p_w) {
             let Some((z, at)) = self.pixel(f, p_w) else { continue };
+            let frame = &self.sequence.frames[f];
+            if !frame.shows_scene(at.1 * frame.depth.width + at.0) {
+                continue;
+            }
             frames += 1;
             match self.sight_at(f, z, at) {
                 Sight::Surface(seen) if seen == label => return false,

@@ -7,7 +7,7 @@ use crate::normals::normals_from_depth;
 use crate::resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
 use crate::{Frame, FramesError, LoadSettings, Recording, Sequence};
 use rayon::prelude::*;
-use sms_core::{Camera, InputError, StageContext, Warnings, read_color};
+use sms_core::{Camera, InputError, StageContext, read_color};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -70,7 +70,11 @@ pub fn load(
     if frames.is_empty() {
         return Err(recording.without_depth().into());
     }
-    leave_attached_out(&mut frames, warnings);
+    leave_attached_out(&mut frames, context);
+    cancel.check()?;
+    if frames.is_empty() {
+        return Err(recording.without_depth().into());
+    }
     let x_world_recording = align(recording, settings.align, &settings.noise, &frames, warnings);
     for frame in &mut frames {
         frame.camera.x_wc = x_world_recording * frame.camera.x_wc;
@@ -80,10 +84,11 @@ pub fn load(
     Ok(Sequence { frames, x_world_recording, source: recording.root.clone() })
 }
 
-/// Removes the measurements of pixels that show something attached to the camera.
-fn leave_attached_out(frames: &mut [Frame], warnings: &Warnings) {
+/// Removes the measurements of pixels that show something attached to the camera, and frames that measure nothing else.
+fn leave_attached_out(frames: &mut Vec<Frame>, context: StageContext<'_>) {
+    let StageContext { warnings, cancel, .. } = context;
     let views: Vec<DepthView<'_>> = frames.iter().map(DepthView::from).collect();
-    let Some(found) = attached(&views) else { return };
+    let Some(found) = attached(&views, cancel) else { return };
     warnings.add("frames", "attached_to_camera", found.message(), "");
     let pixels = Arc::new(found.pixels);
     frames.par_iter_mut().for_each(|frame| {
@@ -93,6 +98,16 @@ fn leave_attached_out(frames: &mut [Frame], warnings: &Warnings) {
         }
         frame.attached = Some(Arc::clone(&pixels));
     });
+    frames.retain(|frame| {
+        let measures = frame.depth.data.iter().any(|&z| z > 0.0);
+        if !measures {
+            let what =
+                format!("{} measures nothing of the scene and was skipped", frame.color_path.display());
+            warnings.add("scan", "empty_depth_skipped", what, "");
+        }
+        measures
+    });
+    frames.iter_mut().enumerate().for_each(|(i, frame)| frame.index = i);
 }
 
 fn is_empty(recording: &Recording, index: usize) -> bool {

@@ -154,7 +154,7 @@ fn attached_finding(recording: &Recording, cancel: &Cancel) -> Result<Option<Fin
         views.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
     let views: Vec<DepthView<'_>> =
         views.iter().map(|(camera, depth)| DepthView { camera, depth, noise: settings.noise }).collect();
-    Ok(attached(&views).map(|found| Finding {
+    Ok(attached(&views, cancel).map(|found| Finding {
         severity: Severity::Info,
         code: "attached_to_camera",
         what: found.message(),

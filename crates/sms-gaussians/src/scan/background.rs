@@ -29,16 +29,16 @@ pub(crate) fn background_color(frames: &[&Frame]) -> [f32; 3] {
 fn sum_of_frame(frame: &Frame) -> ([u64; 3], u64, u64) {
     let (width, height) = frame.depth.size();
     let is_clear = |(i, &z): (usize, &f32)| z <= 0.0 && frame.shows_scene(i);
-    let measured: Vec<bool> = frame.depth.data.iter().enumerate().map(|pixel| !is_clear(pixel)).collect();
-    let mut in_row = vec![false; measured.len()];
+    let taken: Vec<bool> = frame.depth.data.iter().enumerate().map(|pixel| !is_clear(pixel)).collect();
+    let mut in_row = vec![false; taken.len()];
     for y in 0..height {
         let row = y * width..(y + 1) * width;
-        spread(&measured, &mut in_row, row.clone());
-        spread(&measured, &mut in_row, row.rev());
+        spread(&taken, &mut in_row, row.clone());
+        spread(&taken, &mut in_row, row.rev());
     }
-    let mut near = vec![false; measured.len()];
+    let mut near = vec![false; taken.len()];
     for x in 0..width {
-        let column = (x..measured.len()).step_by(width);
+        let column = (x..taken.len()).step_by(width);
         spread(&in_row, &mut near, column.clone());
         spread(&in_row, &mut near, column.rev());
     }

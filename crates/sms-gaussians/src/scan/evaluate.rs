@@ -184,11 +184,23 @@ mod tests {
         assert!((score.depth_mae_m - (0.1 + 5.0 * 0.002) / 6.0).abs() < 1e-6);
         assert!((score.coverage - 6.0 / 7.0).abs() < 1e-12);
 
+        // What is attached to the camera counts for nothing.
+        let attached = Image::from_vec(4, 2, vec![false, false, false, false, false, false, false, true]);
+        let with = Frame { attached: Some(std::sync::Arc::new(attached)), ..frame.clone() };
+        let mut wrong = maps.clone();
+        wrong.color[7] = [1.0; 3];
+        assert!((score_view(&with, &wrong, true).psnr_db - 20.0).abs() < 1e-5);
+        assert!(score_view(&frame, &wrong, true).psnr_db < 15.0);
+
         let mut confusion = Confusion::new(2);
         assert_eq!(confusion.mean_iou(), None);
         let truth = Image::from_vec(4, 2, vec![1, 0, 1, 1, 1, 1, 0, 0]);
         confusion.add(&frame, &maps, &truth);
         // Class 1: 5 of the 7 pixels rendered or observed as class 1; class 0: 1 of 3.
         assert!((confusion.mean_iou().unwrap() - 0.5 * (5.0 / 7.0 + 1.0 / 3.0)).abs() < 1e-12);
+        // Without the last pixel, 5 of 6 and 1 of 2.
+        let mut confusion = Confusion::new(2);
+        confusion.add(&with, &maps, &truth);
+        assert!((confusion.mean_iou().unwrap() - 0.5 * (5.0 / 6.0 + 1.0 / 2.0)).abs() < 1e-12);
     }
 }

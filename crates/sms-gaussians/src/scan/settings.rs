@@ -24,6 +24,9 @@ pub(crate) fn settings_hash(
         hasher.bytes(&bytes_of(&frame.depth.data, |z| z.to_le_bytes()));
         hasher.bytes(&bytes_of(frame.normal_c.data.as_flattened(), |n| n.to_le_bytes()));
         hasher.bytes(&bytes_of(&map.data, |l| l.to_le_bytes()));
+        if let Some(attached) = &frame.attached {
+            hasher.bytes(&bytes_of(&attached.data, |is| [u8::from(is)]));
+        }
     }
     hasher.finish()
 }

@@ -2,7 +2,7 @@
 
 use crate::Error;
 use sms_core::metrics::Metrics;
-use sms_core::{Labels, StageContext, counted};
+use sms_core::{BACKGROUND, Labels, StageContext, counted};
 use sms_frames::Sequence;
 use sms_masks::{Completed, GeometryConfig, Segmenter, complete};
 
@@ -29,7 +29,12 @@ pub fn masks(
 ) -> Result<ObjectMasks, Error> {
     let labels = segmenter.segment(sequence, context)?;
     let pixels = labels.maps.iter().map(|m| m.data.len()).sum();
-    let (labels, completed) = complete(labels, sequence, geometry, context.progress, context.cancel)?;
+    let (mut labels, completed) = complete(labels, sequence, geometry, context.progress, context.cancel)?;
+    // Networks and files may label what is attached to the camera; it is no object.
+    for (map, frame) in labels.maps.iter_mut().zip(&sequence.frames) {
+        let attached = map.data.iter_mut().enumerate().filter(|(i, _)| !frame.shows_scene(*i));
+        attached.for_each(|(_, label)| *label = BACKGROUND);
+    }
     Ok(ObjectMasks { labels, completed, pixels })
 }
 
