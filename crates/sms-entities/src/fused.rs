@@ -70,6 +70,21 @@ mod tests {
     }
 
     #[test]
+    fn surface_that_one_of_six_frames_measures_stays() {
+        let (mut sequence, labels) = over_plate(6, 100);
+        for frame in &mut sequence.frames[1..] {
+            for y in 0..100 {
+                (60..100).for_each(|x| frame.depth[(x, y)] = 0.0);
+            }
+        }
+        let views = Views::new(&sequence, &labels);
+        let points = fused_surface(&views, &EnvironmentConfig::default(), Seed(3), &Cancel::new()).unwrap();
+        let shown =
+            |p: &SurfacePoint| sequence.frames[0].camera.project(p.p_w).is_some_and(|(u, ..)| u > 70.0);
+        assert!(points.iter().filter(|p| shown(p)).count() > 50);
+    }
+
+    #[test]
     fn the_label_of_a_point_is_that_of_most_frames() {
         let (sequence, mut labels) = over_plate(3, 100);
         labels.maps[0].data.fill(1);

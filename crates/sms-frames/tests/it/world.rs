@@ -1,11 +1,11 @@
 //! World alignment, far-away worlds, repeatability.
 
-use crate::common::{Written, save, write};
+use crate::common::{WIDTH, Written, save, write};
 use glamx::{DPose3, DQuat, DVec3, EulerRot};
 use proptest::prelude::*;
 use serde_json::json;
-use sms_core::{Cancel, StageContext, Warnings};
-use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, load};
+use sms_core::{Cancel, NoProgress, StageContext, Warnings, read_png_gray16, write_png_gray16};
+use sms_frames::{Align, LoadSettings, ReadOptions, Recording, Sequence, check, load};
 use std::path::Path;
 
 fn settings() -> LoadSettings {
@@ -180,4 +180,41 @@ fn keyframes_follow_the_size_of_the_scene_and_not_the_number_of_frames() {
     assert!(longest <= 12, "{few:?}");
     let of_half = kept(&orbit(96, 1.5), 4);
     assert!(of_half.len() < few.len() - 4, "{of_half:?} {few:?}");
+}
+
+#[test]
+fn what_moves_with_the_camera_is_left_out_and_reported() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), &Written::default());
+    let (without, _) = scan(dir.path(), &settings());
+    // Something 12 cm before the camera covers a sixth of every image.
+    const COVERED: usize = WIDTH / 6;
+    for i in 0..without.len() {
+        let path = dir.path().join(format!("depth/{i:06}.png"));
+        let mut depth = read_png_gray16(&path).unwrap();
+        for row in depth.data.chunks_exact_mut(WIDTH) {
+            row[..COVERED].fill(600);
+        }
+        write_png_gray16(&path, &depth).unwrap();
+    }
+    let recording = Recording::open(dir.path(), &ReadOptions::default()).unwrap();
+    let report = check(&recording, &NoProgress, &Cancel::new()).unwrap();
+    assert!(report.findings.iter().any(|f| f.code == "attached_to_camera"), "{:?}", report.findings);
+    let (sequence, warnings) = scan(dir.path(), &settings());
+    assert!(warnings.snapshot().iter().any(|w| w.code == "attached_to_camera"));
+    for (frame, before) in sequence.frames.iter().zip(&without.frames) {
+        for i in 0..frame.depth.data.len() {
+            let column = i % WIDTH;
+            if column + 3 < COVERED {
+                assert!(!frame.shows_scene(i) && frame.depth.data[i] == 0.0);
+                assert_eq!(frame.normal_c.data[i], [0.0; 3]);
+            } else if column > COVERED + 3 {
+                assert!(frame.shows_scene(i));
+                assert_eq!(frame.depth.data[i], before.depth.data[i]);
+            }
+        }
+    }
+    // The world is that of the table, not of the thing before the camera.
+    let moved = without.x_world_recording.inverse() * sequence.x_world_recording;
+    assert!(moved.rotation.angle_between(glamx::DQuat::IDENTITY) < 0.01);
 }

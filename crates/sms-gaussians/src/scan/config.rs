@@ -264,9 +264,8 @@ impl ScanConfig {
         // frame) reach the surface error, label accuracy and, within 0.5 dB, the PSNR of 2700 steps.
         let standard = Self { steps_first: 200, steps_frame: 30, ..Self::default() };
         match preset {
-            Preset::Draft => {
-                Self { steps_first: 100, steps_frame: 10, final_steps: 150, ..standard }.with_fused_steps(300)
-            }
+            Preset::Draft => Self { steps_first: 100, steps_frame: 10, final_steps: 150, ..standard }
+                .with_fused(300, standard.fused.rates.position),
             Preset::Standard => standard,
             // For three scenes at 640 × 400, 60 steps per frame raise PSNR by 0.02 to 0.04 dB, but the depth of
             // held-out views is 3 to 5 % worse and F1 0.001 to 0.003 lower. The refinement makes up for fewer steps
@@ -280,18 +279,13 @@ impl ScanConfig {
             }
             // A real recording gained 2.5 dB from 600 to 2000 steps (`standard`). Gaussians slide as far as in 600: what slides on a curved
             // surface leaves it (experiments/studies/scan/fused.md).
-            .with_fused_steps(2000)
-            .with_position_rate(1.5e-5),
+            .with_fused(2000, 1.5e-5),
         }
     }
 
-    fn with_fused_steps(mut self, steps: usize) -> Self {
-        self.fused.steps = steps;
-        self
-    }
-
-    fn with_position_rate(mut self, rate: f32) -> Self {
-        self.fused.rates.position = rate;
+    /// Sets the number of steps over all frames and the rate of positions of the schedule `fused`.
+    fn with_fused(mut self, steps: usize, position: f32) -> Self {
+        (self.fused.steps, self.fused.rates.position) = (steps, position);
         self
     }
 
