@@ -6,12 +6,12 @@ use sms_masks::{FileMasks, GeometryMasks, Segmenter};
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Loads every second frame of a recording at 320 pixels.
-fn recording(name: &str) -> Sequence {
+/// Loads every `stride`-th frame of a recording at 320 pixels.
+fn recording(name: &str, stride: usize) -> Sequence {
     let workspace = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
     let data = std::env::var_os("SMS_TEST_DATA").map_or(workspace.join("../shared/data"), PathBuf::from);
     let recording = Recording::open(data.join(name), &ReadOptions::default()).unwrap();
-    let settings = LoadSettings { long_side: 320, stride: 2, ..LoadSettings::default() };
+    let settings = LoadSettings { long_side: 320, stride, ..LoadSettings::default() };
     load(&recording, &settings, StageContext::quiet(&Cancel::new(), &Warnings::new())).unwrap()
 }
 
@@ -35,7 +35,7 @@ fn best_overlap(given: &Labels, id: u16, found: &Labels) -> f64 {
 #[test]
 #[ignore = "needs the recordings of SMS_TEST_DATA"]
 fn the_bottle_in_the_tilted_bin_is_an_object_of_its_own() {
-    let sequence = recording("seq_tabletop_bin");
+    let sequence = recording("seq_tabletop_bin", 2);
     let (cancel, warnings) = (Cancel::new(), Warnings::new());
     let given = FileMasks::default().segment(&sequence, StageContext::quiet(&cancel, &warnings)).unwrap();
     assert_eq!(given.objects.len(), 1);
@@ -53,7 +53,8 @@ fn the_bottle_in_the_tilted_bin_is_an_object_of_its_own() {
 #[test]
 #[ignore = "needs the recordings of SMS_TEST_DATA"]
 fn objects_on_a_barely_visible_shelf_are_labelled() {
-    let sequence = recording("seq_shelf_tissue");
+    // All 15 frames: with eight or ten of them, the stems may fall into pieces (experiments/studies/geometry-masks.md).
+    let sequence = recording("seq_shelf_tissue", 1);
     let (cancel, warnings) = (Cancel::new(), Warnings::new());
     let given = FileMasks::default().segment(&sequence, StageContext::quiet(&cancel, &warnings)).unwrap();
     assert_eq!(given.objects.len(), 2);
