@@ -5,7 +5,7 @@
 //! these frames measure their own pixel's usual depth, both would explain it: such measurements count as seen, and for neither.
 //! Pairs of frames between which a point hardly moves in the image tell nothing.
 
-use crate::{DepthNoise, Frame};
+use crate::{DepthNoise, Frame, evenly_spread};
 use rayon::prelude::*;
 use sms_core::{Camera, Cancel, DepthImage, Image};
 
@@ -84,8 +84,8 @@ pub(crate) fn attached(views: &[DepthView<'_>], cancel: &Cancel) -> Option<Attac
     if views.iter().any(|v| v.depth.size() != size) {
         return None;
     }
-    let count = views.len().min(MOST_VIEWS);
-    let views: Vec<DepthView<'_>> = (0..count).map(|i| views[i * views.len() / count]).collect();
+    let views: Vec<DepthView<'_>> =
+        evenly_spread(views.len(), MOST_VIEWS).into_iter().map(|i| views[i]).collect();
     let usual = usual_depth(&views, size);
     let measured = measured(&views, size);
     // A pixel without a usual depth shows the scene, if it measures anything.
@@ -106,10 +106,9 @@ pub(crate) fn attached(views: &[DepthView<'_>], cancel: &Cancel) -> Option<Attac
         2 * known.iter().filter(|attached| **attached).count() > known.len()
     };
     let pixels: Vec<bool> = (0..usual.data.len()).into_par_iter().map(most).collect();
-    let of = |is: &dyn Fn(usize) -> bool| -> usize {
-        measured.data.iter().enumerate().filter(|(i, _)| is(*i)).map(|(_, n)| *n).sum()
-    };
-    let share = of(&|i| pixels[i]) as f64 / of(&|_| true).max(1) as f64;
+    let all: usize = measured.data.iter().sum();
+    let own: usize = measured.data.iter().zip(&pixels).filter(|(_, own)| **own).map(|(n, _)| n).sum();
+    let share = own as f64 / all.max(1) as f64;
     let attached = Attached { pixels: Image::from_vec(size.0, size.1, pixels), share };
     (share > 0.0 && share <= MOST_ATTACHED).then_some(attached)
 }

@@ -6,7 +6,7 @@
 
 use crate::normals::NORMAL_GRID;
 use crate::rigid::pose_to_rows;
-use crate::{DepthNoise, Frame, FramesError, Sequence};
+use crate::{DepthNoise, Frame, FramesError, Sequence, evenly_spread};
 use flate2::Compression;
 use flate2::read::ZlibDecoder;
 use flate2::write::ZlibEncoder;
@@ -178,11 +178,9 @@ pub fn load_depths(dir: &Path, most: usize) -> Result<Vec<(Camera, DepthImage)>,
     let damaged = || damaged(dir);
     let count = file.frames.len();
     let blocks = split_blocks(&geometry).filter(|b| b.len() == 2 * count).ok_or_else(damaged)?;
-    let taken = most.min(count);
-    let depths: Vec<Option<(Camera, DepthImage)>> = (0..taken)
+    let depths: Vec<Option<(Camera, DepthImage)>> = evenly_spread(count, most)
         .into_par_iter()
-        .map(|k| {
-            let i = k * count / taken;
+        .map(|i| {
             let camera = file.frames[i].camera;
             let size = camera.intrinsics;
             Some((camera, depth_from_bytes(inflate(blocks[2 * i]), size.width, size.height)?))

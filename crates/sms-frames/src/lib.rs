@@ -47,7 +47,7 @@ pub use normals::{normals_at, normals_from_depth};
 pub use options::{Align, Axes, DepthNoise, LoadSettings, PoseDirection, ReadOptions};
 pub use recording::{Notice, RecordedFrame, Recording, RecordingFormat};
 pub use resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
-pub use sequence::{Frame, Sequence};
+pub use sequence::{Frame, Sequence, evenly_spread};
 
 /// Errors of this crate: bad input, unreadable files, an interruption.
 pub type FramesError = sms_core::CoreError;

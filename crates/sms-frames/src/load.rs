@@ -67,9 +67,6 @@ pub fn load(
             ),
         }
     }
-    if frames.is_empty() {
-        return Err(recording.without_depth().into());
-    }
     leave_attached_out(&mut frames, context);
     cancel.check()?;
     if frames.is_empty() {

@@ -39,6 +39,12 @@ impl Frame {
     }
 }
 
+/// Returns up to `most` indices spread evenly over `count` ones, from the first on.
+pub fn evenly_spread(count: usize, most: usize) -> Vec<usize> {
+    let taken = most.min(count);
+    (0..taken).map(|k| k * count / taken).collect()
+}
+
 /// A loaded recording: frames at scan resolution in a z-up metric world.
 #[derive(Debug, Clone)]
 pub struct Sequence {

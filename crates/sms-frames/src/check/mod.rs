@@ -10,7 +10,7 @@ pub use report::{CheckReport, Finding, OverlapError, PixelCenterFit, ReadingFit,
 use crate::attached::{DepthView, MOST_VIEWS, attached};
 use crate::depth_file::read_depth;
 use crate::load::selected_frames;
-use crate::{FramesError, LoadSettings, Notice, Recording, resample_depth, target_intrinsics};
+use crate::{FramesError, LoadSettings, Notice, Recording, evenly_spread, resample_depth, target_intrinsics};
 use overlap::{DepthSamples, median};
 use rayon::prelude::*;
 use readings::CheckData;
@@ -136,20 +136,19 @@ pub fn check(
 /// Reports pixels that show something attached to the camera.
 fn attached_finding(recording: &Recording, cancel: &Cancel) -> Result<Option<Finding>, FramesError> {
     let settings = LoadSettings::default();
-    let n = recording.frames.len();
-    let count = n.min(MOST_VIEWS);
-    let views: Vec<Result<Option<(Camera, DepthImage)>, FramesError>> = (0..count)
-        .into_par_iter()
-        .map(|k| {
-            cancel.check()?;
-            let frame = &recording.frames[k * n / count];
-            let intrinsics = target_intrinsics(&frame.color_lens, settings.long_side);
-            // An empty image was reported or accepted before.
-            let Ok(native) = recording.read_depth_m(k * n / count) else { return Ok(None) };
-            let depth = resample_depth(&native, &frame.depth_lens, &intrinsics, &settings.noise);
-            Ok(Some((Camera::new(intrinsics, frame.x_rc), depth)))
-        })
-        .collect();
+    let views: Vec<Result<Option<(Camera, DepthImage)>, FramesError>> =
+        evenly_spread(recording.frames.len(), MOST_VIEWS)
+            .into_par_iter()
+            .map(|i| {
+                cancel.check()?;
+                let frame = &recording.frames[i];
+                let intrinsics = target_intrinsics(&frame.color_lens, settings.long_side);
+                // An empty image was reported or accepted before.
+                let Ok(native) = recording.read_depth_m(i) else { return Ok(None) };
+                let depth = resample_depth(&native, &frame.depth_lens, &intrinsics, &settings.noise);
+                Ok(Some((Camera::new(intrinsics, frame.x_rc), depth)))
+            })
+            .collect();
     let views: Vec<(Camera, DepthImage)> =
         views.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
     let views: Vec<DepthView<'_>> =

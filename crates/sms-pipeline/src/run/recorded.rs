@@ -5,7 +5,7 @@ use crate::Error;
 use crate::origin::staleness_of;
 use sms_core::{InputError, Labels, RunFolder};
 use sms_entities::load_entities;
-use sms_frames::{ReadOptions, Sequence, recorded_colors};
+use sms_frames::{ReadOptions, Sequence, evenly_spread, recorded_colors};
 use sms_gaussians::{GaussianModel, render_views};
 use sms_masks::load_labels;
 use sms_report::{RecordedView, ViewPair};
@@ -48,8 +48,7 @@ impl RecordedFrames {
         run: &RunFolder,
         holdout: usize,
     ) -> Result<Vec<RecordedView>, Error> {
-        let count = PHOTOGRAPHS.min(self.sequence.len());
-        let chosen: Vec<usize> = (0..count).map(|i| i * self.sequence.len() / count).collect();
+        let chosen = evenly_spread(self.sequence.len(), PHOTOGRAPHS);
         let part = Sequence {
             frames: chosen.iter().map(|&i| self.sequence.frames[i].clone()).collect(),
             x_world_recording: self.sequence.x_world_recording,
