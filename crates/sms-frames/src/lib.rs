@@ -26,6 +26,7 @@ mod colors;
 mod depth_file;
 mod floor;
 mod formats;
+mod gaps;
 mod keyframes;
 mod lens;
 mod load;

@@ -2,6 +2,7 @@
 
 use crate::align::align;
 use crate::attached::{DepthView, attached};
+use crate::gaps::fill_gaps;
 use crate::keyframes::keyframes;
 use crate::normals::normals_from_depth;
 use crate::resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
@@ -135,6 +136,7 @@ fn read_frame(recording: &Recording, index: usize, settings: &LoadSettings) -> R
     let intrinsics = target_intrinsics(&recorded.color_lens, settings.long_side);
     let native = recording.read_depth_m(index)?;
     let depth = resample_depth(&native, &recorded.depth_lens, &intrinsics, &settings.noise);
+    let depth = fill_gaps(&depth, &intrinsics, &settings.noise);
     let normal_c = normals_from_depth(&depth, &intrinsics, &settings.noise, settings.normal_radius);
     let color = undistort_color(&read_color(&recorded.color_path)?, &recorded.color_lens);
     Ok(Frame {

@@ -7,7 +7,7 @@ use sms_core::{DepthImage, Image, Intrinsics, NormalImage};
 /// Minimum number of valid pixels in the window.
 const MIN_VALID: usize = 6;
 /// Steepest slope that passes the first, wide gate: metres of depth per metre across.
-const MAX_SLOPE: f64 = 3.0;
+pub(crate) const MAX_SLOPE: f64 = 3.0;
 /// Grid of stored normals, which a 16-bit cache keeps exactly; rounding turns them by less than 3e-5 rad.
 pub(crate) const NORMAL_GRID: f32 = 32767.0;
 
