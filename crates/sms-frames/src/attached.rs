@@ -4,10 +4,13 @@
 //! along which the camera moves has the same depth at a pixel too, but the other frames measure it where its points project to. Where
 //! these frames measure their own pixel's usual depth, both would explain it: such measurements count as seen, and for neither.
 //! Pairs of frames between which a point hardly moves in the image tell nothing.
+//!
+//! Parts too near for the depth sensor are found by their picture ([`crate::pattern`]).
 
+use crate::pattern::{Picture, patterns_in_place};
 use crate::{DepthNoise, Frame, evenly_spread};
 use rayon::prelude::*;
-use sms_core::{Camera, Cancel, DepthImage, Image};
+use sms_core::{Camera, Cancel, ColorImage, DepthImage, Image};
 
 /// Number of frames, spread over the sequence, that are examined.
 pub(crate) const MOST_VIEWS: usize = 20;
@@ -34,7 +37,7 @@ const WINDOW: i64 = 2;
 /// If more of the measured pixels than this share seem attached, the poses are at fault.
 const MOST_ATTACHED: f64 = 0.5;
 
-/// Depth of one frame.
+/// Depth of one frame, and its colour if pictures are examined.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DepthView<'a> {
     /// Intrinsics and pose.
@@ -43,11 +46,14 @@ pub(crate) struct DepthView<'a> {
     pub(crate) depth: &'a DepthImage,
     /// Its noise.
     pub(crate) noise: DepthNoise,
+    /// Colour, of the same size.
+    pub(crate) color: Option<&'a ColorImage>,
 }
 
 impl<'a> From<&'a Frame> for DepthView<'a> {
     fn from(frame: &'a Frame) -> Self {
-        Self { camera: &frame.camera, depth: &frame.depth, noise: frame.depth_noise }
+        let color = Some(&frame.color);
+        Self { camera: &frame.camera, depth: &frame.depth, noise: frame.depth_noise, color }
     }
 }
 
@@ -62,7 +68,7 @@ impl DepthView<'_> {
 pub(crate) struct Attached {
     /// The pixels.
     pub(crate) pixels: Image<bool>,
-    /// Their share of the measurements.
+    /// Their share of all pixels.
     pub(crate) share: f64,
 }
 
@@ -71,7 +77,7 @@ impl Attached {
     pub(crate) fn message(&self) -> String {
         let percent = 100.0 * self.share;
         format!(
-            "{percent:.1} % of the measured pixels show something that moves with the camera, such as a gripper; \
+            "{percent:.1} % of the pixels show something that moves with the camera, such as a gripper; \
              a scan leaves them out"
         )
     }
@@ -98,19 +104,46 @@ pub(crate) fn attached(views: &[DepthView<'_>], cancel: &Cancel) -> Option<Attac
     let verdicts: Vec<Option<bool>> = (0..usual.data.len()).into_par_iter().map(verdict).collect();
     let mut verdicts = Image::from_vec(size.0, size.1, verdicts);
     follow_surfaces(&mut verdicts, &usual, |z| views[0].tolerance_m(z));
+    let mut pixels = majority(&verdicts);
+    let all: usize = measured.data.iter().sum();
+    let own: usize = measured.data.iter().zip(&pixels.data).filter(|(_, own)| **own).map(|(n, _)| n).sum();
+    if own as f64 > MOST_ATTACHED * all as f64 {
+        return None;
+    }
+    if let Some(pictures) = pictures(&views) {
+        let is_measured = |n: usize| n as f64 >= LEAST_MEASURED * views.len() as f64;
+        let scene = measured.data.iter().zip(&pixels.data).map(|(&n, own)| is_measured(n) && !own).collect();
+        let scene = Image::from_vec(size.0, size.1, scene);
+        let stays = patterns_in_place(&pictures, &scene, cancel)?;
+        for (i, own) in pixels.data.iter_mut().enumerate() {
+            *own |= stays.data[i] && !is_measured(measured.data[i]);
+        }
+        pixels = majority(&pixels.map(|own| Some(*own)));
+    }
+    let share = pixels.data.iter().filter(|own| **own).count() as f64 / pixels.data.len() as f64;
+    (share > 0.0).then_some(Attached { pixels, share })
+}
+
+/// Returns the pixels in whose window most of the pixels that are known are attached.
+fn majority(verdicts: &Image<Option<bool>>) -> Image<bool> {
+    let (width, height) = verdicts.size();
     let most = |i: usize| {
-        let (x, y) = ((i % size.0) as i64, (i / size.0) as i64);
+        let (x, y) = ((i % width) as i64, (i / width) as i64);
         let window = (-WINDOW..=WINDOW).flat_map(|dy| (-WINDOW..=WINDOW).map(move |dx| (dx, dy)));
         let known: Vec<bool> =
             window.filter_map(|(dx, dy)| verdicts.get(x + dx, y + dy).copied().flatten()).collect();
         2 * known.iter().filter(|attached| **attached).count() > known.len()
     };
-    let pixels: Vec<bool> = (0..usual.data.len()).into_par_iter().map(most).collect();
-    let all: usize = measured.data.iter().sum();
-    let own: usize = measured.data.iter().zip(&pixels).filter(|(_, own)| **own).map(|(n, _)| n).sum();
-    let share = own as f64 / all.max(1) as f64;
-    let attached = Attached { pixels: Image::from_vec(size.0, size.1, pixels), share };
-    (share > 0.0 && share <= MOST_ATTACHED).then_some(attached)
+    Image::from_vec(width, height, (0..width * height).into_par_iter().map(most).collect())
+}
+
+/// Returns the pictures of all views; `None` if one has no colour or no depth.
+fn pictures<'a>(views: &[DepthView<'a>]) -> Option<Vec<Picture<'a>>> {
+    let picture = |view: &DepthView<'a>| {
+        let nearest_m = view.depth.data.iter().copied().filter(|z| *z > 0.0).min_by(f32::total_cmp)?;
+        Some(Picture { camera: view.camera, color: view.color?, nearest_m: f64::from(nearest_m) })
+    };
+    views.iter().map(picture).collect()
 }
 
 /// Marks pixels of usual depth whose places no other frame sees if they continue the surface of attached pixels.
@@ -212,7 +245,7 @@ mod tests {
     }
 
     fn found(views: &[(Camera, DepthImage)]) -> Option<Attached> {
-        let of = |(camera, depth)| DepthView { camera, depth, noise: DepthNoise::default() };
+        let of = |(camera, depth)| DepthView { camera, depth, noise: DepthNoise::default(), color: None };
         attached(&views.iter().map(|(camera, depth)| of((camera, depth))).collect::<Vec<_>>(), &Cancel::new())
     }
 

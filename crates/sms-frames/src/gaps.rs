@@ -17,8 +17,12 @@ const SIGMAS: f64 = 3.0;
 
 /// Fills pixels that lie between two samples of one surface, as far apart as those of a coarse sensor, with the depth on the
 /// straight line between them (the mean over all such lines). Other pixels do not change, nor do images of at most 320 columns.
-pub(crate) fn fill_gaps(depth: &DepthImage, k: &Intrinsics, noise: &DepthNoise) -> DepthImage {
-    let gaps = Gaps { depth, k, noise, most: depth.width.div_ceil(SENSOR_COLUMNS) as i64 };
+pub(crate) fn fill_gaps(depth: DepthImage, k: &Intrinsics, noise: &DepthNoise) -> DepthImage {
+    let most = depth.width.div_ceil(SENSOR_COLUMNS) as i64;
+    if most < 2 {
+        return depth;
+    }
+    let gaps = Gaps { depth: &depth, k, noise, most };
     let fill = |i: usize| match depth.data[i] {
         z if z > 0.0 => z,
         _ => gaps.depth_between((i % depth.width) as i64, (i / depth.width) as i64).unwrap_or(0.0) as f32,
@@ -52,7 +56,7 @@ impl Gaps<'_> {
         };
         let ((before, z0), (after, z1)) = (nearest(-1)?, nearest(1)?);
         let steps = before + after;
-        let length = steps as f64 * f64::from((dx * dx + dy * dy) as i32).sqrt();
+        let length = steps as f64 * (dx as f64).hypot(dy as f64);
         let near = z0.min(z1);
         let rise = MAX_SLOPE * self.k.pixel_footprint(near) * length;
         let noise = SIGMAS * std::f64::consts::SQRT_2 * self.noise.sigma_m(near);
@@ -74,7 +78,11 @@ mod tests {
     }
 
     fn filled(depth: &DepthImage) -> DepthImage {
-        fill_gaps(depth, &Intrinsics::from_fov(depth.width, depth.height, 1.0), &DepthNoise::default())
+        fill_gaps(
+            depth.clone(),
+            &Intrinsics::from_fov(depth.width, depth.height, 1.0),
+            &DepthNoise::default(),
+        )
     }
 
     #[test]

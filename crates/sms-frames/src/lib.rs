@@ -32,6 +32,7 @@ mod lens;
 mod load;
 mod normals;
 mod options;
+mod pattern;
 mod plane_fit;
 mod recording;
 mod resample;

@@ -6,9 +6,9 @@ use crate::gaps::fill_gaps;
 use crate::keyframes::keyframes;
 use crate::normals::normals_from_depth;
 use crate::resample::{resample_depth, resize_color, target_intrinsics, undistort_color};
-use crate::{Frame, FramesError, LoadSettings, Recording, Sequence};
+use crate::{DepthNoise, Frame, FramesError, LoadSettings, Recording, Sequence};
 use rayon::prelude::*;
-use sms_core::{Camera, InputError, StageContext, read_color};
+use sms_core::{Camera, DepthImage, InputError, Intrinsics, StageContext, read_color};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -131,12 +131,25 @@ pub fn load_frame(
     }
 }
 
+/// Loads the depth of the frame with this index in metres, as a camera with these intrinsics sees it.
+///
+/// # Errors
+/// [`sms_core::InputError`] naming the file that is missing, damaged or empty.
+pub(crate) fn load_depth(
+    recording: &Recording,
+    index: usize,
+    intrinsics: &Intrinsics,
+    noise: &DepthNoise,
+) -> Result<DepthImage, FramesError> {
+    let native = recording.read_depth_m(index)?;
+    let depth = resample_depth(&native, &recording.frames[index].depth_lens, intrinsics, noise);
+    Ok(fill_gaps(depth, intrinsics, noise))
+}
+
 fn read_frame(recording: &Recording, index: usize, settings: &LoadSettings) -> Result<Frame, FramesError> {
     let recorded = &recording.frames[index];
     let intrinsics = target_intrinsics(&recorded.color_lens, settings.long_side);
-    let native = recording.read_depth_m(index)?;
-    let depth = resample_depth(&native, &recorded.depth_lens, &intrinsics, &settings.noise);
-    let depth = fill_gaps(&depth, &intrinsics, &settings.noise);
+    let depth = load_depth(recording, index, &intrinsics, &settings.noise)?;
     let normal_c = normals_from_depth(&depth, &intrinsics, &settings.noise, settings.normal_radius);
     let color = undistort_color(&read_color(&recorded.color_path)?, &recorded.color_lens);
     Ok(Frame {

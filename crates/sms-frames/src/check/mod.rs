@@ -9,8 +9,8 @@ pub use report::{CheckReport, Finding, OverlapError, PixelCenterFit, ReadingFit,
 
 use crate::attached::{DepthView, MOST_VIEWS, attached};
 use crate::depth_file::read_depth;
-use crate::load::selected_frames;
-use crate::{FramesError, LoadSettings, Notice, Recording, evenly_spread, resample_depth, target_intrinsics};
+use crate::load::{load_depth, selected_frames};
+use crate::{FramesError, LoadSettings, Notice, Recording, evenly_spread, target_intrinsics};
 use overlap::{DepthSamples, median};
 use rayon::prelude::*;
 use readings::CheckData;
@@ -144,15 +144,16 @@ fn attached_finding(recording: &Recording, cancel: &Cancel) -> Result<Option<Fin
                 let frame = &recording.frames[i];
                 let intrinsics = target_intrinsics(&frame.color_lens, settings.long_side);
                 // An empty image was reported or accepted before.
-                let Ok(native) = recording.read_depth_m(i) else { return Ok(None) };
-                let depth = resample_depth(&native, &frame.depth_lens, &intrinsics, &settings.noise);
-                Ok(Some((Camera::new(intrinsics, frame.x_rc), depth)))
+                let depth = load_depth(recording, i, &intrinsics, &settings.noise).ok();
+                Ok(depth.map(|depth| (Camera::new(intrinsics, frame.x_rc), depth)))
             })
             .collect();
     let views: Vec<(Camera, DepthImage)> =
         views.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
-    let views: Vec<DepthView<'_>> =
-        views.iter().map(|(camera, depth)| DepthView { camera, depth, noise: settings.noise }).collect();
+    let views: Vec<DepthView<'_>> = views
+        .iter()
+        .map(|(camera, depth)| DepthView { camera, depth, noise: settings.noise, color: None })
+        .collect();
     Ok(attached(&views, cancel).map(|found| Finding {
         severity: Severity::Info,
         code: "attached_to_camera",
