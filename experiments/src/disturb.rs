@@ -133,16 +133,13 @@ mod tests {
     fn sequence(frames: usize) -> Sequence {
         let k = Intrinsics::from_fov(16, 8, 1.0);
         let frame = |index| Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
             index,
-            time_s: None,
-            camera: Camera::new(k, DPose3::identity()),
-            color: Image::from_vec(16, 8, (0..128).map(|i| [(i % 16) as u8; 3]).collect()),
-            depth: Image::filled(16, 8, 0.5),
-            normal_c: Image::filled(16, 8, [0.0, 0.0, -1.0]),
-            color_path: "".into(),
-            attached: None,
-            mask_path: None,
+            ..Frame::new(
+                Camera::new(k, DPose3::identity()),
+                Image::from_vec(16, 8, (0..128).map(|i| [(i % 16) as u8; 3]).collect()),
+                Image::filled(16, 8, 0.5),
+                Image::filled(16, 8, [0.0, 0.0, -1.0]),
+            )
         };
         Sequence {
             frames: (0..frames).map(frame).collect(),

@@ -29,20 +29,17 @@ pub(crate) fn entity(name: &str, mesh: Mesh, shape: EntityShape) -> Entity {
 pub(crate) fn over_plate(cameras: usize, width: usize) -> (Sequence, Labels) {
     let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 50.0, cy: 50.0, width: 100, height: 100 };
     let frame = |index: usize| Frame {
-        depth_noise: sms_frames::DepthNoise::default(),
         index,
-        time_s: None,
-        camera: Camera::look_at(intrinsics, DVec3::Z, DVec3::ZERO, DVec3::Y),
-        color: Image::filled(100, 100, [0; 3]),
-        depth: Image::from_vec(
-            100,
-            100,
-            (0..10_000).map(|i| if i % 100 < width { 1.0 } else { 0.0 }).collect::<Vec<f32>>(),
-        ),
-        normal_c: Image::filled(100, 100, [0.0, 0.0, -1.0]),
-        color_path: "none".into(),
-        attached: None,
-        mask_path: None,
+        ..Frame::new(
+            Camera::look_at(intrinsics, DVec3::Z, DVec3::ZERO, DVec3::Y),
+            Image::filled(100, 100, [0; 3]),
+            Image::from_vec(
+                100,
+                100,
+                (0..10_000).map(|i| if i % 100 < width { 1.0 } else { 0.0 }).collect::<Vec<f32>>(),
+            ),
+            Image::filled(100, 100, [0.0, 0.0, -1.0]),
+        )
     };
     let half = LabelMap::from_vec(100, 100, (0..10_000).map(|i| u16::from(i % 100 < 50)).collect::<Vec<_>>());
     let frames: Vec<Frame> = (0..cameras).map(frame).collect();

@@ -234,18 +234,12 @@ mod tests {
         };
         let color =
             Image::from_vec(100, 100, (0..10_000).map(|i| quarter(i % 100, i / 100)).collect::<Vec<_>>());
-        let frame = Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
-            index: 0,
-            time_s: None,
+        let frame = Frame::new(
             camera,
-            color: Image::filled(100, 100, [0; 3]),
-            depth: Image::filled(100, 100, 1.0),
-            normal_c: Image::filled(100, 100, [0.0, 0.0, -1.0]),
-            color_path: "none".into(),
-            attached: None,
-            mask_path: None,
-        };
+            Image::filled(100, 100, [0; 3]),
+            Image::filled(100, 100, 1.0),
+            Image::filled(100, 100, [0.0, 0.0, -1.0]),
+        );
         let sequence =
             Sequence { frames: vec![frame], x_world_recording: DPose3::IDENTITY, source: "none".into() };
         let labels = Labels {

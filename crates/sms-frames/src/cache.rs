@@ -54,6 +54,17 @@ struct FrameEntry {
     mask_path: Option<PathBuf>,
     camera: Camera,
     depth_noise: DepthNoise,
+    /// Colour as recorded over the saved colour, per channel.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    gain: [f32; 3],
+}
+
+fn one() -> [f32; 3] {
+    [1.0; 3]
+}
+
+fn is_one(gain: &[f32; 3]) -> bool {
+    *gain == one()
 }
 
 impl Sequence {
@@ -105,6 +116,7 @@ impl Sequence {
                     mask_path: f.mask_path.clone(),
                     camera: f.camera,
                     depth_noise: f.depth_noise,
+                    gain: f.gain,
                 })
                 .collect(),
         };
@@ -147,16 +159,14 @@ impl Sequence {
                 let normal_c =
                     normals_from_bytes(inflate(blocks[2 * i + 1]), k.width, k.height).ok_or_else(damaged)?;
                 Ok(Frame {
-                    depth_noise: entry.depth_noise,
                     index: entry.index,
                     time_s: entry.time_s,
-                    camera: entry.camera,
-                    color,
-                    depth,
-                    normal_c,
+                    gain: entry.gain,
+                    depth_noise: entry.depth_noise,
                     attached: attached.clone(),
                     color_path: entry.color_path,
                     mask_path: entry.mask_path,
+                    ..Frame::new(entry.camera, color, depth, normal_c)
                 })
             })
             .collect();
@@ -317,21 +327,22 @@ mod tests {
             depth_noise: DepthNoise { a_m: 1e-3, b_per_m: 2e-3 },
             index,
             time_s: (index > 0).then_some(index as f64 / 30.0),
-            camera: Camera::new(k, pose),
-            color: Image::from_vec(6, 4, (0..24).map(|i| [i as u8 * 7, i as u8, index as u8]).collect()),
-            depth: Image::from_vec(
-                6,
-                4,
-                (0..24).map(|i| if i % 5 == 0 { 0.0 } else { 1.0 / (i as f32 + 0.3) }).collect(),
-            ),
-            normal_c: Image::from_vec(
-                6,
-                4,
-                (0..24).map(|i| [(i as f32 * 1000.0).round() / NORMAL_GRID, off_grid, -1.0]).collect(),
-            ),
             color_path: PathBuf::from("rec/color.png"),
-            attached: None,
-            mask_path: None,
+            gain: [1.0, 1.0 - 0.1 * index as f32, 1.0],
+            ..Frame::new(
+                Camera::new(k, pose),
+                Image::from_vec(6, 4, (0..24).map(|i| [i as u8 * 7, i as u8, index as u8]).collect()),
+                Image::from_vec(
+                    6,
+                    4,
+                    (0..24).map(|i| if i % 5 == 0 { 0.0 } else { 1.0 / (i as f32 + 0.3) }).collect(),
+                ),
+                Image::from_vec(
+                    6,
+                    4,
+                    (0..24).map(|i| [(i as f32 * 1000.0).round() / NORMAL_GRID, off_grid, -1.0]).collect(),
+                ),
+            )
         };
         Sequence { frames: vec![frame(0), frame(1)], x_world_recording: pose, source: PathBuf::from("rec") }
     }
@@ -357,6 +368,7 @@ mod tests {
                         && a.color == b.color
                         && a.depth == b.depth
                         && a.attached == b.attached
+                        && a.gain == b.gain
                         && a.normal_c == b.normal_c
                 );
             }

@@ -24,6 +24,7 @@ mod cache;
 mod check;
 mod colors;
 mod depth_file;
+mod exposure;
 mod floor;
 mod formats;
 mod gaps;

@@ -2,6 +2,7 @@
 
 use crate::align::align;
 use crate::attached::{DepthView, attached};
+use crate::exposure::equalize;
 use crate::gaps::fill_gaps;
 use crate::keyframes::keyframes;
 use crate::normals::normals_from_depth;
@@ -69,6 +70,13 @@ pub fn load(
         }
     }
     leave_attached_out(&mut frames, context);
+    if let Some((least, greatest)) = equalize(&mut frames, cancel) {
+        let what = format!(
+            "exposure or white balance differs between frames (gains from {least:.2} to {greatest:.2}); \
+             colours are brought to one exposure"
+        );
+        warnings.add("frames", "exposure_varies", what, "fix both while you record");
+    }
     cancel.check()?;
     if frames.is_empty() {
         return Err(recording.without_depth().into());
@@ -152,16 +160,13 @@ fn read_frame(recording: &Recording, index: usize, settings: &LoadSettings) -> R
     let depth = load_depth(recording, index, &intrinsics, &settings.noise)?;
     let normal_c = normals_from_depth(&depth, &intrinsics, &settings.noise, settings.normal_radius);
     let color = undistort_color(&read_color(&recorded.color_path)?, &recorded.color_lens);
+    let color = resize_color(&color, intrinsics.width, intrinsics.height);
     Ok(Frame {
-        depth_noise: settings.noise,
         index,
         time_s: recorded.time_s,
-        camera: Camera::new(intrinsics, recorded.x_rc),
-        color: resize_color(&color, intrinsics.width, intrinsics.height),
-        depth,
-        normal_c,
-        attached: None,
+        depth_noise: settings.noise,
         color_path: recorded.color_path.clone(),
         mask_path: recorded.mask_path.clone(),
+        ..Frame::new(Camera::new(intrinsics, recorded.x_rc), color, depth, normal_c)
     })
 }

@@ -16,8 +16,10 @@ pub struct Frame {
     pub time_s: Option<f64>,
     /// Intrinsics and pose in the world `W`.
     pub camera: Camera,
-    /// Colour.
+    /// Colour, at the exposure that all frames have in common.
     pub color: ColorImage,
+    /// Colour as recorded over `color`, per channel: the frame's own exposure. 1 if all frames have the same.
+    pub gain: [f32; 3],
     /// Depth along the camera's z axis in metres, 0 where there is none.
     pub depth: DepthImage,
     /// Noise of the depth.
@@ -33,6 +35,23 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// Makes a frame of images alone: of an unknown time and file, with the default noise of depth.
+    pub fn new(camera: Camera, color: ColorImage, depth: DepthImage, normal_c: NormalImage) -> Self {
+        Self {
+            index: 0,
+            time_s: None,
+            camera,
+            color,
+            gain: [1.0; 3],
+            depth,
+            depth_noise: DepthNoise::default(),
+            normal_c,
+            attached: None,
+            color_path: PathBuf::new(),
+            mask_path: None,
+        }
+    }
+
     /// Returns whether pixel `index`, counted row by row, shows the scene rather than something attached to the camera.
     pub fn shows_scene(&self, index: usize) -> bool {
         self.attached.as_ref().is_none_or(|attached| !attached.data[index])

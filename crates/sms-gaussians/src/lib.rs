@@ -13,18 +13,10 @@
 //! use sms_frames::{Frame, Sequence};
 //! use sms_gaussians::{CpuTrainer, Preset, ScanConfig, read_ply, scan};
 //! // One grey wall, half a metre away.
-//! let frame = Frame {
-//!     depth_noise: sms_frames::DepthNoise::default(),
-//!     index: 0,
-//!     time_s: None,
-//!     camera: Camera::new(Intrinsics::from_fov(32, 20, 0.6), DPose3::identity()),
-//!     color: Image::filled(32, 20, [128; 3]),
-//!     depth: Image::filled(32, 20, 0.5),
-//!     normal_c: Image::filled(32, 20, [0.0, 0.0, -1.0]),
-//!     color_path: "000000.png".into(),
-//!     attached: None,
-//!     mask_path: None,
-//! };
+//! let camera = Camera::new(Intrinsics::from_fov(32, 20, 0.6), DPose3::identity());
+//! let color = Image::filled(32, 20, [128; 3]);
+//! let depth = Image::filled(32, 20, 0.5);
+//! let frame = Frame::new(camera, color, depth, Image::filled(32, 20, [0.0, 0.0, -1.0]));
 //! let sequence =
 //!     Sequence { frames: vec![frame], x_world_recording: DPose3::identity(), source: "wall".into() };
 //! let labels =

@@ -41,16 +41,14 @@ impl Default for Sensor {
 pub(crate) fn blank_sequence(frames: usize, width: usize, height: usize) -> Sequence {
     let camera = Camera::new(Intrinsics::from_fov(width, height, 1.0), DPose3::identity());
     let frame = |index| Frame {
-        depth_noise: sms_frames::DepthNoise::default(),
         index,
-        time_s: None,
-        camera,
-        color: Image::filled(width, height, [0; 3]),
-        depth: Image::filled(width, height, 0.0),
-        normal_c: Image::filled(width, height, [0.0; 3]),
         color_path: format!("color/{index:06}.png").into(),
-        attached: None,
-        mask_path: None,
+        ..Frame::new(
+            camera,
+            Image::filled(width, height, [0; 3]),
+            Image::filled(width, height, 0.0),
+            Image::filled(width, height, [0.0; 3]),
+        )
     };
     Sequence {
         frames: (0..frames).map(frame).collect(),

@@ -70,16 +70,13 @@ mod tests {
         let intrinsics = Intrinsics::from_fov(80, 60, 1.0);
         let x_wc = DPose3::from_parts(DVec3::new(x_m, 0.0, 0.0), glamx::DQuat::IDENTITY);
         Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
             index,
-            time_s: None,
-            camera: Camera::new(intrinsics, x_wc),
-            color: ColorImage::filled(80, 60, [0; 3]),
-            depth: DepthImage::filled(80, 60, 1.0),
-            normal_c: NormalImage::filled(80, 60, [0.0, 0.0, -1.0]),
-            color_path: "none".into(),
-            attached: None,
-            mask_path: None,
+            ..Frame::new(
+                Camera::new(intrinsics, x_wc),
+                ColorImage::filled(80, 60, [0; 3]),
+                DepthImage::filled(80, 60, 1.0),
+                NormalImage::filled(80, 60, [0.0, 0.0, -1.0]),
+            )
         }
     }
 

@@ -3,7 +3,7 @@
 use crate::SurfaceConfig;
 use glamx::DVec3;
 use sms_core::{Camera, Image, Intrinsics};
-use sms_frames::{DepthNoise, Frame};
+use sms_frames::Frame;
 
 /// The settings of the scan.
 pub(crate) fn config() -> SurfaceConfig {
@@ -14,16 +14,10 @@ pub(crate) fn config() -> SurfaceConfig {
 pub(crate) fn facing_plane(eye_z_m: f64, surface_z_m: f64) -> Frame {
     let k = Intrinsics::from_fov(64, 40, 0.5);
     let camera = Camera::look_at(k, DVec3::Z * eye_z_m, DVec3::ZERO, DVec3::Y);
-    Frame {
-        depth_noise: DepthNoise::default(),
-        index: 0,
-        time_s: None,
+    Frame::new(
         camera,
-        color: Image::filled(64, 40, [0; 3]),
-        depth: Image::filled(64, 40, (eye_z_m - surface_z_m).abs() as f32),
-        normal_c: Image::filled(64, 40, [0.0, 0.0, -1.0]),
-        color_path: "".into(),
-        attached: None,
-        mask_path: None,
-    }
+        Image::filled(64, 40, [0; 3]),
+        Image::filled(64, 40, (eye_z_m - surface_z_m).abs() as f32),
+        Image::filled(64, 40, [0.0, 0.0, -1.0]),
+    )
 }

@@ -244,18 +244,12 @@ mod tests {
                 depth[(x, y)] = 0.5;
             }
         }
-        Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
-            index: 0,
-            time_s: None,
-            camera: Camera::new(k, DPose3::identity()),
-            color: Image::filled(32, 20, [0; 3]),
+        Frame::new(
+            Camera::new(k, DPose3::identity()),
+            Image::filled(32, 20, [0; 3]),
             depth,
-            normal_c: Image::filled(32, 20, [0.0, 0.0, -1.0]),
-            color_path: "".into(),
-            attached: None,
-            mask_path: None,
-        }
+            Image::filled(32, 20, [0.0, 0.0, -1.0]),
+        )
     }
 
     #[test]

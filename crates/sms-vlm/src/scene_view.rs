@@ -123,18 +123,12 @@ mod tests {
             _ => (1.0, BACKGROUND),
         };
         let pixels = || (0..90 * 60).map(|i| at(i % 90));
-        let frame = Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
-            index: 0,
-            time_s: None,
+        let frame = Frame::new(
             camera,
-            color: Image::filled(90, 60, [90, 120, 150]),
-            depth: Image::from_vec(90, 60, pixels().map(|p| p.0 as f32).collect()),
-            normal_c: Image::filled(90, 60, [0.0; 3]),
-            color_path: "nowhere.png".into(),
-            attached: None,
-            mask_path: None,
-        };
+            Image::filled(90, 60, [90, 120, 150]),
+            Image::from_vec(90, 60, pixels().map(|p| p.0 as f32).collect()),
+            Image::filled(90, 60, [0.0; 3]),
+        );
         (frame, Image::from_vec(90, 60, pixels().map(|p| p.1).collect()))
     }
 

@@ -180,16 +180,9 @@ impl Rendered {
             true_depth.push(seen.depth);
             labels.push(seen.label);
             frames.push(Frame {
-                depth_noise: sms_frames::DepthNoise::default(),
                 index,
-                time_s: None,
-                camera,
-                color: seen.color,
-                depth: seen.depth_noisy,
-                normal_c,
                 color_path: "rendered".into(),
-                attached: None,
-                mask_path: None,
+                ..Frame::new(camera, seen.color, seen.depth_noisy, normal_c)
             });
         }
         let source = "rendered".into();

@@ -25,16 +25,8 @@ fn prepared() -> Prepared {
         let view = renderer.render(&camera, &model);
         maps.push(view.label.map(|l| [0, 2, 1][usize::from(*l)]));
         frames.push(Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
             index,
-            time_s: None,
-            camera,
-            color: view.color,
-            depth: view.depth,
-            normal_c: Image::filled(160, 100, [0.0, 0.0, -1.0]),
-            color_path: "".into(),
-            attached: None,
-            mask_path: None,
+            ..Frame::new(camera, view.color, view.depth, Image::filled(160, 100, [0.0, 0.0, -1.0]))
         });
     }
     let object = |id| LabelInfo { id, name: format!("object_{id}"), description: String::new() };

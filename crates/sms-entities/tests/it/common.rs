@@ -234,16 +234,8 @@ pub fn observe(objects: &[Shape], clutter: &[Shape], how: &Observation, seed: u6
             }
         }
         frames.push(Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
             index: f,
-            time_s: None,
-            camera,
-            color: Image::filled(how.width, how.height, [120u8; 3]),
-            depth,
-            normal_c,
-            color_path: Default::default(),
-            attached: None,
-            mask_path: None,
+            ..Frame::new(camera, Image::filled(how.width, how.height, [120u8; 3]), depth, normal_c)
         });
         maps.push(map);
     }

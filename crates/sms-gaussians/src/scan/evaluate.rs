@@ -21,6 +21,8 @@ pub struct ViewScore {
     pub psnr_db: f64,
     /// PSNR over pixels with measured depth: Gaussians are seeded only at these pixels.
     pub psnr_measured_db: f64,
+    /// PSNR over all pixels that show the scene against the photograph at its own exposure, which the rendered view does not know.
+    pub psnr_recorded_db: f64,
     /// Mean absolute depth error over pixels with measured depth that are covered by Gaussians, metres.
     pub depth_mae_m: f64,
     /// Median absolute depth error over the same pixels, insensitive to silhouettes.
@@ -31,14 +33,16 @@ pub struct ViewScore {
 
 pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> ViewScore {
     // Errors are computed in parallel and summed in the pixels' order.
-    let squared: Vec<f64> = maps
+    let squared: Vec<[f64; 2]> = maps
         .color
         .par_iter()
         .zip(&frame.color.data)
         .map(|(shown, observed)| {
-            let square =
-                |c: usize| (f64::from(shown[c].clamp(0.0, 1.0)) - f64::from(observed[c]) / 255.0).powi(2);
-            (0..3).map(square).sum()
+            let square = |c: usize, gain: f32| {
+                let recorded = f64::from(observed[c]) / 255.0 * f64::from(gain);
+                (f64::from(shown[c].clamp(0.0, 1.0)) - recorded).powi(2)
+            };
+            [(0..3).map(|c| square(c, 1.0)).sum(), (0..3).map(|c| square(c, frame.gain[c])).sum()]
         })
         .collect();
     let depths = maps.depth.par_iter().zip(&frame.depth.data).zip(&maps.alpha);
@@ -47,18 +51,19 @@ pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> 
         .map(|((shown, measured), _)| f64::from((shown - measured).abs()))
         .collect();
     let depth_mae_m = errors.iter().sum::<f64>() / errors.len() as f64;
-    let (depth_median_m, (all, at_depth)) = rayon::join(
+    let (depth_median_m, (all, at_depth, recorded)) = rayon::join(
         || median(&mut errors),
         || {
-            let (mut all, mut at_depth) = ((0.0, 0usize), (0.0, 0usize));
+            let (mut all, mut at_depth, mut recorded) = ((0.0, 0usize), (0.0, 0usize), 0.0);
             let pixels = squared.iter().zip(&frame.depth.data).enumerate();
-            for (_, (&squared, &measured)) in pixels.filter(|(i, _)| frame.shows_scene(*i)) {
+            for (_, (&[squared, as_recorded], &measured)) in pixels.filter(|(i, _)| frame.shows_scene(*i)) {
                 all = (all.0 + squared, all.1 + 3);
+                recorded += as_recorded;
                 if measured > 0.0 {
                     at_depth = (at_depth.0 + squared, at_depth.1 + 3);
                 }
             }
-            (all, at_depth)
+            (all, at_depth, (recorded, all.1))
         },
     );
     let psnr = |(sum, count): (f64, usize)| -10.0 * (sum / count.max(1) as f64).max(1e-10).log10();
@@ -68,6 +73,7 @@ pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> 
         held_out,
         psnr_db: psnr(all),
         psnr_measured_db: psnr(at_depth),
+        psnr_recorded_db: psnr(recorded),
         depth_mae_m,
         depth_median_m,
         coverage,
@@ -136,6 +142,7 @@ pub(crate) fn add_metrics(metrics: &mut Metrics, group: &str, views: &[ViewScore
     metrics
         .set(format!("scan.{group}_psnr_db"), mean(|v| v.psnr_db))
         .set(format!("scan.{group}_psnr_measured_db"), mean(|v| v.psnr_measured_db))
+        .set(format!("scan.{group}_psnr_recorded_db"), mean(|v| v.psnr_recorded_db))
         .set(format!("scan.{group}_depth_mae_m"), mean(|v| v.depth_mae_m))
         .set(format!("scan.{group}_depth_median_m"), mean(|v| v.depth_median_m))
         .set(format!("scan.{group}_coverage"), mean(|v| v.coverage));
@@ -156,16 +163,13 @@ mod tests {
         let mut depth = Image::filled(4, 2, 1.0f32);
         depth[(0, 0)] = 0.0;
         let frame = Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
             index: 5,
-            time_s: None,
-            camera: Camera::new(k, DPose3::identity()),
-            color: Image::filled(4, 2, [51, 51, 51]),
-            depth,
-            normal_c: Image::filled(4, 2, [0.0, 0.0, -1.0]),
-            color_path: "".into(),
-            attached: None,
-            mask_path: None,
+            ..Frame::new(
+                Camera::new(k, DPose3::identity()),
+                Image::filled(4, 2, [51, 51, 51]),
+                depth,
+                Image::filled(4, 2, [0.0, 0.0, -1.0]),
+            )
         };
         let mut maps = RenderedMaps {
             width: 4,
@@ -183,6 +187,12 @@ mod tests {
         assert!((score.depth_median_m - 0.002).abs() < 1e-6);
         assert!((score.depth_mae_m - (0.1 + 5.0 * 0.002) / 6.0).abs() < 1e-6);
         assert!((score.coverage - 6.0 / 7.0).abs() < 1e-12);
+
+        // At a gain of a half, the photograph has 0.1 instead of 0.2.
+        let dark = Frame { gain: [0.5; 3], ..frame.clone() };
+        let of_dark = score_view(&dark, &maps, true);
+        assert!(of_dark.psnr_db == score.psnr_db && score.psnr_recorded_db == score.psnr_db);
+        assert!((of_dark.psnr_recorded_db + 20.0 * 0.2f64.log10()).abs() < 1e-5);
 
         // What is attached to the camera counts for nothing.
         let attached = Image::from_vec(4, 2, vec![false, false, false, false, false, false, false, true]);

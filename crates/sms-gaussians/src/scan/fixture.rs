@@ -104,16 +104,9 @@ pub(crate) fn record(r: Recorded) -> (Sequence, Labels) {
         let normal_c = normals_from_depth(&depth, &k, &DepthNoise::default(), 2);
         maps.push(label_map);
         frames.push(Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
             index,
-            time_s: None,
-            camera,
-            color: color_image,
-            depth,
-            normal_c,
             color_path: format!("{index:06}.png").into(),
-            attached: None,
-            mask_path: None,
+            ..Frame::new(camera, color_image, depth, normal_c)
         });
     }
     let object = |id: u16, name: &str| LabelInfo { id, name: name.to_owned(), description: String::new() };

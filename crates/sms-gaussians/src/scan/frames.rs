@@ -62,17 +62,11 @@ mod tests {
     #[test]
     fn what_is_attached_to_the_camera_is_not_trained_on() {
         let k = Intrinsics::from_fov(3, 1, 1.0);
+        let camera = Camera::new(k, glamx::DPose3::identity());
+        let depth = Image::from_vec(3, 1, vec![1.0, 0.0, 1.0]);
         let frame = Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
-            index: 0,
-            time_s: None,
-            camera: Camera::new(k, glamx::DPose3::identity()),
-            color: Image::filled(3, 1, [51; 3]),
-            depth: Image::from_vec(3, 1, vec![1.0, 0.0, 1.0]),
-            normal_c: Image::filled(3, 1, [0.0, 0.0, -1.0]),
             attached: Some(Arc::new(Image::from_vec(3, 1, vec![false, true, false]))),
-            color_path: "".into(),
-            mask_path: None,
+            ..Frame::new(camera, Image::filled(3, 1, [51; 3]), depth, Image::filled(3, 1, [0.0, 0.0, -1.0]))
         };
         let trained = train_frame(&frame, &Image::from_vec(3, 1, vec![1, 1, 0]));
         assert_eq!(trained.label, [1, u16::MAX, 0]);

@@ -83,18 +83,12 @@ mod tests {
     fn facing_plane(eye_z_m: f64, surface_z_m: f64) -> Frame {
         let k = Intrinsics::from_fov(32, 20, 0.3);
         let camera = Camera::look_at(k, DVec3::Z * eye_z_m, DVec3::ZERO, DVec3::Y);
-        Frame {
-            depth_noise: sms_frames::DepthNoise::default(),
-            index: 0,
-            time_s: None,
+        Frame::new(
             camera,
-            color: Image::filled(32, 20, [0; 3]),
-            depth: Image::filled(32, 20, (eye_z_m - surface_z_m).abs() as f32),
-            normal_c: Image::filled(32, 20, [0.0, 0.0, -1.0]),
-            color_path: "".into(),
-            attached: None,
-            mask_path: None,
-        }
+            Image::filled(32, 20, [0; 3]),
+            Image::filled(32, 20, (eye_z_m - surface_z_m).abs() as f32),
+            Image::filled(32, 20, [0.0, 0.0, -1.0]),
+        )
     }
 
     #[test]

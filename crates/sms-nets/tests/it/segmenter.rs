@@ -12,7 +12,7 @@ use sms_masks::{MasksError, Segmenter};
 use sms_nets::owlv2::{Owlv2, Owlv2Config, PixelBox};
 use sms_nets::sam2::{Sam2, Sam2Config};
 use sms_nets::{Device, ModelFolders, NamedBox, NetsConfig, NetsMasks, Track};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Returns a folder with a model in its repository's layout.
 fn folder(model: &str) -> tempfile::TempDir {
@@ -38,16 +38,13 @@ fn folder(model: &str) -> tempfile::TempDir {
 
 fn sequence(frames: usize) -> Sequence {
     let frame = |index: usize| Frame {
-        depth_noise: sms_frames::DepthNoise::default(),
         index,
-        time_s: None,
-        camera: Camera::new(Intrinsics::from_fov(150, 100, 1.0), DPose3::identity()),
-        color: crate::support::frame(index as i64),
-        depth: DepthImage::filled(150, 100, 1.0),
-        normal_c: NormalImage::filled(150, 100, [0.0, 0.0, -1.0]),
-        color_path: PathBuf::from("none"),
-        attached: None,
-        mask_path: None,
+        ..Frame::new(
+            Camera::new(Intrinsics::from_fov(150, 100, 1.0), DPose3::identity()),
+            crate::support::frame(index as i64),
+            DepthImage::filled(150, 100, 1.0),
+            NormalImage::filled(150, 100, [0.0, 0.0, -1.0]),
+        )
     };
     Sequence {
         frames: (0..frames).map(frame).collect(),

@@ -11,18 +11,7 @@ use sms_synth::{
 /// Returns a frame of the given images.
 pub(crate) fn frame(index: usize, camera: Camera, color: ColorImage, depth: DepthImage) -> Frame {
     let normal_c = normals_from_depth(&depth, &camera.intrinsics, &DepthNoise::default(), 2);
-    Frame {
-        depth_noise: DepthNoise::default(),
-        index,
-        time_s: None,
-        camera,
-        color,
-        depth,
-        normal_c,
-        color_path: "none".into(),
-        attached: None,
-        mask_path: None,
-    }
+    Frame { index, ..Frame::new(camera, color, depth, normal_c) }
 }
 
 pub(crate) fn sequence(frames: Vec<Frame>) -> Sequence {
