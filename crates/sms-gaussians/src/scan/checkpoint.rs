@@ -21,7 +21,11 @@ pub(crate) struct SchedulePosition {
     pub(crate) step: usize,
     /// Whether this slot's Gaussians have been seeded.
     pub(crate) seeded: bool,
-    /// Whether this slot's pruning at half its steps has been done.
+    /// Step of this slot from which on learning rates fall, once it is known.
+    pub(crate) fall: Option<usize>,
+    /// Errors of the frames that are left out until then.
+    pub(crate) validation_errors: Vec<f32>,
+    /// Whether this slot's pruning midway has been done.
     pub(crate) pruned_midway: bool,
     /// Loss of each batch of this slot, for early stopping.
     pub(crate) batch_losses: Vec<f32>,

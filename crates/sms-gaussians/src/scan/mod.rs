@@ -16,6 +16,7 @@ mod losses;
 mod observer;
 mod occupancy;
 mod pace;
+mod phases;
 mod placement;
 mod ply;
 mod pruning;

@@ -16,6 +16,7 @@ use super::fusion::fuse;
 use super::losses::{LossSample, stalled};
 use super::observer::{ScanObserver, ScanResumed};
 use super::pace::Pace;
+use super::phases::{Phases, view_error};
 use super::placement::place;
 use super::pruning::{prune_all, prune_transparent};
 use super::saving::Saver;
@@ -100,6 +101,7 @@ pub fn scan(
             ids: Vec::with_capacity(trained.len()),
             positions_w: None,
             trained,
+            phases: Phases::new(&config.fused),
             place: SchedulePosition { slot: config.first_slot(frames), ..SchedulePosition::default() },
             pace: Pace::new(limits, sequence.len()),
             last_psnr_db: None,
@@ -142,6 +144,8 @@ struct Schedule<'a> {
     ids: Vec<FrameId>,
     /// Cached positions of the Gaussians, until they move.
     positions_w: Option<Vec<Vec3>>,
+    /// Phases of the schedule `fused`.
+    phases: Phases,
     place: SchedulePosition,
     /// For the remaining time, not for the result.
     pace: Pace,
@@ -253,16 +257,19 @@ impl<'a> Schedule<'a> {
 
     /// Processes one frame, or the refinement over all of them, from the position in the schedule.
     fn slot(&mut self) -> Result<(), ScanError> {
-        let limit = self.pace.limit(self.place.slot);
         let (began, mut stepping_s) = (Instant::now(), 0.0);
         self.seed_slot()?;
         let mut stop = self.config.stop;
-        stop.enabled &= self.config.schedule == ScanOrder::Sequential;
+        if self.config.schedule == ScanOrder::Fused {
+            stop.enabled = false;
+        } else {
+            self.place.fall = Some(0);
+        }
         if self.is_refinement() {
             // Every frame is in both windows of the comparison.
             stop.window = stop.window.max(self.trained.len().div_ceil(self.batch()));
         }
-        while self.place.step < limit && !stalled(&self.place.batch_losses, &stop) {
+        while self.place.step < self.end() && !stalled(&self.place.batch_losses, &stop) {
             if self.cancel.is_cancelled() {
                 self.save()?;
                 self.saver.written()?;
@@ -272,10 +279,13 @@ impl<'a> Schedule<'a> {
                 self.save()?;
             }
             let before = Instant::now();
-            self.certain_batches(limit, &stop)?;
+            self.certain_batches(&stop)?;
             stepping_s += before.elapsed().as_secs_f64();
             self.stages.add("steps", before);
-            if !self.place.pruned_midway && 2 * self.place.step >= limit {
+            if self.place.fall.is_none() {
+                self.look()?;
+            }
+            if !self.place.pruned_midway && self.place.step >= self.midway() {
                 let began = Instant::now();
                 self.prune_transparent();
                 self.place.pruned_midway = true;
@@ -301,6 +311,43 @@ impl<'a> Schedule<'a> {
         self.render_slot();
         let beside_s = began.elapsed().as_secs_f64() - stepping_s;
         self.pace.finished(self.place.slot, self.place.step, Some(beside_s));
+        Ok(())
+    }
+
+    /// Returns the number of steps of this slot, as far as it is known.
+    fn end(&self) -> usize {
+        match self.place.fall {
+            Some(fall) if self.config.schedule == ScanOrder::Fused => self.phases.end(fall),
+            _ => self.pace.limit(self.place.slot),
+        }
+    }
+
+    /// Returns the step after which transparent Gaussians are removed within this slot.
+    fn midway(&self) -> usize {
+        match (self.config.schedule, self.place.fall) {
+            (ScanOrder::Fused, fall) => fall.unwrap_or(usize::MAX),
+            (ScanOrder::Sequential, _) => self.pace.limit(self.place.slot).div_ceil(2),
+        }
+    }
+
+    /// Lets the rates fall from this step on if it is time, or if the errors of the frames that are left out have stalled.
+    fn look(&mut self) -> Result<(), ScanError> {
+        let validation = self.phases.validation(self.trained.len());
+        if !validation.is_empty() && Phases::is_look(self.place.step, self.place.validation_errors.len()) {
+            let began = Instant::now();
+            let mut sum = 0.0;
+            for slot in &validation {
+                let frame = &self.sequence.frames[self.trained[*slot]];
+                let maps = self.trainer.render(&frame.camera);
+                sum += view_error(frame, &maps, &self.config.train.weights);
+                self.trainer.recycle(maps);
+            }
+            self.check_device()?;
+            self.place.validation_errors.push(sum / validation.len() as f32);
+            self.stages.add("rendering", began);
+        }
+        let falls = self.phases.falls(self.place.step, &self.place.validation_errors);
+        self.place.fall = falls.then_some(self.place.step);
         Ok(())
     }
 
@@ -434,12 +481,16 @@ impl<'a> Schedule<'a> {
     }
 
     /// Returns the number of batches that are certain regardless of their losses: up to the end of the slot, the
-    /// pruning midway, or the first check for stalled losses, and no longer than a moment.
-    fn certain(&self, limit: usize, stop: &StopConfig) -> usize {
+    /// pruning midway, the next look, or the first check for stalled losses, and no longer than a moment.
+    fn certain(&self, stop: &StopConfig) -> usize {
         let until = |step: usize| step.saturating_sub(self.place.step).div_ceil(self.batch());
-        let mut count = until(limit);
+        let mut count = until(self.end());
         if !self.place.pruned_midway {
-            count = count.min(until(limit.div_ceil(2)));
+            count = count.min(until(self.midway()));
+        }
+        if self.place.fall.is_none() {
+            let validates = !self.phases.validation(self.trained.len()).is_empty();
+            count = count.min(until(self.phases.next_look(self.place.step, validates)));
         }
         if stop.enabled {
             count = count.min((2 * stop.window.max(1)).saturating_sub(self.place.batch_losses.len()));
@@ -450,8 +501,8 @@ impl<'a> Schedule<'a> {
     }
 
     /// Takes the steps of these batches. The next slot's frame is added meanwhile.
-    fn certain_batches(&mut self, limit: usize, stop: &StopConfig) -> Result<(), ScanError> {
-        let (began, count, batch) = (Instant::now(), self.certain(limit, stop), self.batch());
+    fn certain_batches(&mut self, stop: &StopConfig) -> Result<(), ScanError> {
+        let (began, count, batch) = (Instant::now(), self.certain(stop), self.batch());
         let of_batch = |i: usize| self.batch_at(self.place.step + i * batch);
         let batches: Vec<StepBatch> = (0..count).map(of_batch).collect();
         let (sequence, labels) = (self.sequence, self.labels);
@@ -493,8 +544,10 @@ impl<'a> Schedule<'a> {
         let mut rates = self.config.train.rates;
         if self.is_refinement() {
             rates = self.config.last_rates();
-            let done = step as f32 / self.config.last_steps().max(1) as f32;
-            rates = rates.scaled(self.config.final_decay.powf(done.min(1.0)));
+            if let Some(fall) = self.place.fall {
+                let done = (step - fall) as f32 / (self.end() - fall).max(1) as f32;
+                rates = rates.scaled(self.config.final_decay.powf(done.min(1.0)));
+            }
         }
         let (own, replayed) = self.batch_frames(step);
         StepBatch { rates, own, replayed }
@@ -504,13 +557,20 @@ impl<'a> Schedule<'a> {
     fn batch_frames(&self, step: usize) -> (Vec<FrameId>, Vec<FrameId>) {
         let (slot, batch) = (self.place.slot, self.batch());
         if self.is_refinement() {
-            let n = self.ids.len();
-            let frame_at = |k: usize| {
-                let mut order = self.ids.clone();
-                order.shuffle(&mut self.seed.derive_index("epoch", (k / n) as u64).rng());
-                order[k % n]
+            let (seed, first, left_out) = match self.place.fall {
+                None => (self.seed, 0, self.phases.validation(self.ids.len())),
+                Some(0) => (self.seed, 0, Vec::new()),
+                Some(fall) => (self.seed.derive("falling"), fall, Vec::new()),
             };
-            return ((step..step + batch).map(frame_at).collect(), Vec::new());
+            let slots = (0..self.ids.len()).filter(|slot| !left_out.contains(slot));
+            let ids: Vec<FrameId> = slots.map(|slot| self.ids[slot]).collect();
+            let frame_at = |k: usize| {
+                let mut order = ids.clone();
+                order.shuffle(&mut seed.derive_index("epoch", (k / ids.len()) as u64).rng());
+                order[k % ids.len()]
+            };
+            let from = step - first;
+            return ((from..from + batch).map(frame_at).collect(), Vec::new());
         }
         if slot == 0 {
             return (vec![self.ids[0]; batch], Vec::new());

@@ -1,7 +1,7 @@
 //! The scan as a whole on the analytic recording: exact resume, threads, quality.
 
 use super::config::{FusedConfig, Preset, ScanConfig, ScanOrder};
-use super::fixture::{self, BALL, BOX, SMALL, record, signed_distance_m};
+use super::fixture::{self, BALL, BOX, Recorded, SMALL, record, signed_distance_m};
 use super::ply::read_ply;
 use super::schedule::{ScanResult, scan};
 use super::views::state_of_model;
@@ -152,6 +152,31 @@ fn stopped_or_killed_anywhere_and_resumed_ends_with_the_same_bytes_on_one_and_tw
 #[test]
 fn a_fused_scan_stopped_or_killed_anywhere_and_resumed_ends_with_the_same_bytes() {
     stop_kill_and_resume(&ScanConfig { schedule: ScanOrder::Fused, ..quick() });
+}
+
+#[test]
+fn a_fused_scan_ends_when_errors_stall_and_is_resumed_alike() {
+    // Nothing gains 90 %: rates fall from the third look on. Of ten frames, one is left out until then.
+    let mut config = ScanConfig { schedule: ScanOrder::Fused, holdout: 0, ..quick() };
+    (config.fused.steps, config.fused.min_gain) = (900, 0.9);
+    let recording = record(Recorded { frames: 10, width: 64, height: 40, ..SMALL });
+    let undisturbed = tempfile::tempdir().unwrap();
+    let result = run(&recording, &config, undisturbed.path(), None, &Warnings::new()).unwrap();
+    assert_eq!(result.metrics.number("scan.steps"), Some(450.0));
+    let all = ScanConfig { fused: FusedConfig { min_gain: 0.0, ..config.fused }, ..config.clone() };
+    let dir = tempfile::tempdir().unwrap();
+    let to_the_end = run(&recording, &all, dir.path(), None, &Warnings::new()).unwrap();
+    assert_eq!(to_the_end.metrics.number("scan.steps"), Some(900.0));
+    // Stopped before and after rates began to fall, with a checkpoint before every batch.
+    config.checkpoint_seconds = 0.0;
+    let dir = tempfile::tempdir().unwrap();
+    for batches in [12, 25] {
+        let stopped =
+            run(&recording, &config, dir.path(), Some(Disturbance::Cancel(batches)), &Warnings::new());
+        assert!(matches!(stopped, Err(ScanError::Core(CoreError::Interrupted))));
+    }
+    run(&recording, &config, dir.path(), None, &Warnings::new()).unwrap();
+    assert_eq!(bytes(dir.path()), bytes(undisturbed.path()));
 }
 
 fn stop_kill_and_resume(config: &ScanConfig) {
@@ -332,8 +357,7 @@ fn gaussians_fill_what_has_no_depth_and_are_marked() {
     let recording = (sequence, labels);
     let of = |config: &ScanConfig| run(&recording, config, dir.path(), None, &Warnings::new()).unwrap();
     let filled = of(&config);
-    // Early stopping is for the other schedule.
-    assert!(config.stop.enabled);
+    // Too few steps for early stopping.
     assert_eq!(filled.metrics.number("scan.steps"), Some(config.fused.steps as f64));
     let read = read_ply(&dir.path().join("scene.ply")).unwrap();
     assert_eq!(read.measured, filled.model.measured);

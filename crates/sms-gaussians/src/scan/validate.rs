@@ -54,6 +54,7 @@ impl ScanConfig {
             // At 0 and 1 the logit is infinite.
             ("seeding.opacity", seeding.opacity, 0.001, 0.999),
             ("pruning.opacity_below", pruning.opacity_below, 0.0, 1.0),
+            ("fused.min_gain", self.fused.min_gain, 0.0, 1.0),
             ("stop.min_gain", stop.min_gain, -1.0, 1.0),
             ("final_decay", self.final_decay, 1e-6, 1.0),
         ] {
