@@ -10,7 +10,7 @@
 use crate::pattern::{Picture, patterns_in_place};
 use crate::{DepthNoise, Frame, evenly_spread};
 use rayon::prelude::*;
-use sms_core::{Camera, Cancel, ColorImage, DepthImage, Image};
+use sms_core::{Camera, Cancel, ColorImage, DepthImage, Image, QuantileRule, quantile};
 
 /// Number of frames, spread over the sequence, that are examined.
 pub(crate) const MOST_VIEWS: usize = 20;
@@ -34,6 +34,8 @@ const MOST_CONFIRMED: f64 = 0.05;
 const LEAST_THROUGH: f64 = 0.2;
 /// Half width of the window in which most pixels that are known must be attached, pixels.
 const WINDOW: i64 = 2;
+/// Quantile of the depths of a view that the scene begins at: wrong measurements are nearer.
+const NEAREST: f64 = 0.02;
 /// If more of the measured pixels than this share seem attached, the poses are at fault.
 const MOST_ATTACHED: f64 = 0.5;
 
@@ -110,15 +112,19 @@ pub(crate) fn attached(views: &[DepthView<'_>], cancel: &Cancel) -> Option<Attac
     if own as f64 > MOST_ATTACHED * all as f64 {
         return None;
     }
-    if let Some(pictures) = pictures(&views) {
+    if let Some(pictures) = pictures(&views, &pixels) {
         let is_measured = |n: usize| n as f64 >= LEAST_MEASURED * views.len() as f64;
         let scene = measured.data.iter().zip(&pixels.data).map(|(&n, own)| is_measured(n) && !own).collect();
         let scene = Image::from_vec(size.0, size.1, scene);
-        let stays = patterns_in_place(&pictures, &scene, cancel)?;
-        for (i, own) in pixels.data.iter_mut().enumerate() {
-            *own |= stays.data[i] && !is_measured(measured.data[i]);
+        let mut all = patterns_in_place(&pictures, &scene, cancel)?;
+        for (i, own) in all.data.iter_mut().enumerate() {
+            *own = pixels.data[i] || (*own && !is_measured(measured.data[i]));
         }
-        pixels = majority(&pixels.map(|own| Some(*own)));
+        let all = majority(&all.map(|own| Some(*own)));
+        // If most of the image stays in place, the poses are at fault.
+        if all.data.iter().filter(|own| **own).count() as f64 <= MOST_ATTACHED * all.data.len() as f64 {
+            pixels.data.iter_mut().zip(all.data).for_each(|(own, more)| *own |= more);
+        }
     }
     let share = pixels.data.iter().filter(|own| **own).count() as f64 / pixels.data.len() as f64;
     (share > 0.0).then_some(Attached { pixels, share })
@@ -137,11 +143,13 @@ fn majority(verdicts: &Image<Option<bool>>) -> Image<bool> {
     Image::from_vec(width, height, (0..width * height).into_par_iter().map(most).collect())
 }
 
-/// Returns the pictures of all views; `None` if one has no colour or no depth.
-fn pictures<'a>(views: &[DepthView<'a>]) -> Option<Vec<Picture<'a>>> {
+/// Returns the pictures of all views, `pixels` of which are attached; `None` if one has no colour or no depth.
+fn pictures<'a>(views: &[DepthView<'a>], pixels: &Image<bool>) -> Option<Vec<Picture<'a>>> {
     let picture = |view: &DepthView<'a>| {
-        let nearest_m = view.depth.data.iter().copied().filter(|z| *z > 0.0).min_by(f32::total_cmp)?;
-        Some(Picture { camera: view.camera, color: view.color?, nearest_m: f64::from(nearest_m) })
+        let depths = view.depth.data.iter().zip(&pixels.data).filter(|(z, own)| **z > 0.0 && !**own);
+        let mut depths: Vec<f64> = depths.map(|(z, _)| f64::from(*z)).collect();
+        let nearest_m = quantile(&mut depths, NEAREST, QuantileRule::Nearest)?;
+        Some(Picture { camera: view.camera, color: view.color?, nearest_m })
     };
     views.iter().map(picture).collect()
 }

@@ -1,11 +1,12 @@
 //! Recorded colour at more than scan resolution, for textures and rendering.
 
+use crate::exposure::divide;
 use crate::resample::{resize_color, target_intrinsics, undistort_color};
 use crate::{ReadOptions, Recording, Sequence};
 use rayon::prelude::*;
 use sms_core::{Cancel, ColorImage, CoreError, read_color};
 
-/// Reads the recorded colour image of every frame, undistorted, with its long side at most `long_side` pixels; its camera is
+/// Reads the recorded colour image of every frame, undistorted, at the exposure that the frames have in common, with its long side at most `long_side` pixels; its camera is
 /// the frame's with `intrinsics.scaled_to` its size. `None` if the recording or the image is gone; callers then use the
 /// sequence's own colour.
 ///
@@ -32,7 +33,9 @@ pub fn recorded_colors(
                 let color = read_color(&recorded.color_path).ok()?;
                 let color = undistort_color(&color, &recorded.color_lens);
                 let target = target_intrinsics(&recorded.color_lens, long_side);
-                Some(resize_color(&color, target.width, target.height))
+                let mut color = resize_color(&color, target.width, target.height);
+                divide(&mut color, &frame.gain);
+                Some(color)
             };
             Ok(read())
         })

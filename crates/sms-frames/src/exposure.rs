@@ -6,7 +6,7 @@
 
 use crate::Frame;
 use rayon::prelude::*;
-use sms_core::{Cancel, QuantileRule, quantile};
+use sms_core::{Cancel, ColorImage, QuantileRule, quantile};
 use std::ops::RangeInclusive;
 
 /// Distance between the pixels that are compared.
@@ -29,8 +29,8 @@ const GAIN_SIGMA: f64 = 0.3;
 /// generated scenes of fixed exposure, where a correction costs 0.3 dB; a real bin has 0.02, a shelf 0.13 and a kitchen 0.3
 /// (experiments/studies/scan/fused.md).
 const LEAST_SIGMA: f64 = 0.05;
-/// Number of sweeps over all frames that solve for the gains.
-const SWEEPS: usize = 100;
+/// Residual at which the gains are solved for, as a share of that of equal gains.
+const RESIDUAL: f64 = 1e-9;
 
 /// Logarithms of the gains of a frame, per channel.
 type LogGain = [f64; 3];
@@ -42,15 +42,28 @@ pub(crate) fn equalize(frames: &mut [Frame], cancel: &Cancel) -> Option<(f64, f6
         return None;
     }
     frames.par_iter_mut().zip(&gains).for_each(|(frame, log)| {
-        let gain = log.map(f64::exp);
-        frame.gain = gain.map(|g| g as f32);
-        for color in &mut frame.color.data {
-            // Beyond 255 the cast saturates.
-            *color = std::array::from_fn(|c| (f64::from(color[c]) / gain[c]).round() as u8);
-        }
+        frame.gain = log.map(|log| log.exp() as f32);
+        divide(&mut frame.color, &frame.gain);
     });
     let all = || gains.iter().flatten().copied();
     Some((all().fold(f64::INFINITY, f64::min).exp(), all().fold(f64::NEG_INFINITY, f64::max).exp()))
+}
+
+/// Divides colours by a gain per channel. What becomes brighter than 255 is cut off, and what the camera cut off remains so: divided, white
+/// would have the colour of the gains.
+pub(crate) fn divide(color: &mut ColorImage, gain: &[f32; 3]) {
+    if *gain == [1.0; 3] {
+        return;
+    }
+    let last = f32::from(*RANGE.end());
+    let divided = |value: u8, gain: f32| {
+        let value = f32::from(value);
+        let cut_off = ((value - last) / (255.0 - last)).max(0.0);
+        ((1.0 - cut_off) * value / gain + cut_off * 255.0).round() as u8
+    };
+    for color in &mut color.data {
+        *color = std::array::from_fn(|c| divided(color[c], gain[c]));
+    }
 }
 
 fn varies(gains: &[LogGain]) -> bool {
@@ -85,16 +98,40 @@ fn log_gains(frames: &[Frame], cancel: &Cancel) -> Vec<LogGain> {
         beside[j].push((i, ratio));
         beside[i].push((j, Ratio { log: ratio.log.map(|l| -l), ..ratio }));
     }
-    // Gauss-Seidel: every frame in turn takes the weighted mean of what the others say.
-    let mut gains = vec![LogGain::default(); n];
-    for i in (0..SWEEPS).flat_map(|_| 0..n) {
-        let weights = GAIN_SIGMA.powi(-2) + beside[i].iter().map(|(_, ratio)| ratio.weight).sum::<f64>();
-        let said =
-            |c: usize| beside[i].iter().map(|(j, r)| r.weight * (gains[*j][c] + r.log[c])).sum::<f64>();
-        let mean: LogGain = std::array::from_fn(|c| said(c) / weights);
-        gains[i] = mean;
+    let channels = [0, 1, 2].map(|c| solve(&beside, c));
+    (0..n).map(|i| channels.each_ref().map(|gains| gains[i])).collect()
+}
+
+/// Solves the normal equations of one channel by conjugate gradients.
+fn solve(beside: &[Vec<(usize, Ratio)>], channel: usize) -> Vec<f64> {
+    let n = beside.len();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let multiplied = |x: &[f64]| -> Vec<f64> {
+        let row = |i: usize| {
+            let ratios = beside[i].iter().map(|(j, ratio)| ratio.weight * (x[i] - x[*j])).sum::<f64>();
+            GAIN_SIGMA.powi(-2) * x[i] + ratios
+        };
+        (0..n).map(row).collect()
+    };
+    let said = |ratios: &Vec<(usize, Ratio)>| ratios.iter().map(|(_, r)| r.weight * r.log[channel]).sum();
+    let mut x = vec![0.0; n];
+    let mut residual: Vec<f64> = beside.iter().map(said).collect();
+    let mut direction = residual.clone();
+    let mut square = dot(&residual, &residual);
+    let enough = RESIDUAL * RESIDUAL * square;
+    // Without rounding, as many steps as unknowns would do.
+    for _ in 0..2 * n {
+        if square <= enough {
+            break;
+        }
+        let image = multiplied(&direction);
+        let step = square / dot(&direction, &image);
+        x.iter_mut().zip(&direction).for_each(|(x, d)| *x += step * d);
+        residual.iter_mut().zip(&image).for_each(|(r, i)| *r -= step * i);
+        let before = std::mem::replace(&mut square, dot(&residual, &residual));
+        direction.iter_mut().zip(&residual).for_each(|(d, r)| *d = r + square / before * *d);
     }
-    gains
+    x
 }
 
 /// Returns the ratio of the gain of the second frame to that of the first; `None` if they share too few points.
@@ -179,6 +216,30 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn gains_of_many_frames_that_overlap_with_near_ones_alone_solve_the_normal_equations() {
+        let n = 300;
+        let truth = |i: usize| 0.3 * (i as f64 * 0.02).sin();
+        let mut beside: Vec<Vec<(usize, Ratio)>> = vec![Vec::new(); n];
+        for (i, j) in [1, 2, 4, 8].into_iter().flat_map(|d| (d..n).map(move |j| (j - d, j))) {
+            let log = truth(j) - truth(i);
+            beside[j].push((i, Ratio { log: [log; 3], weight: 2000.0 }));
+            beside[i].push((j, Ratio { log: [-log; 3], weight: 2000.0 }));
+        }
+        let found = solve(&beside, 0);
+        for i in 0..n {
+            let pull: f64 = beside[i].iter().map(|(j, r)| r.weight * (found[*j] + r.log[0] - found[i])).sum();
+            assert!((pull - found[i] * GAIN_SIGMA.powi(-2)).abs() < 1e-4, "{i}: {pull}");
+        }
+    }
+
+    #[test]
+    fn what_was_cut_off_remains_white() {
+        let mut colors = Image::from_vec(3, 1, vec![[255; 3], [120, 120, 240], [200, 239, 0]]);
+        divide(&mut colors, &[1.25, 0.8, 1.2]);
+        assert_eq!(colors.data, [[255; 3], [96, 150, 203], [160, 255, 0]]);
     }
 
     #[test]

@@ -15,9 +15,9 @@ const RADIUS: usize = 4;
 /// Least correlation of patches that show the same.
 const ALIKE: f32 = 0.6;
 /// Least share of the pairs of images whose patches are alike.
-const MOST: f32 = 0.5;
+const LEAST_SHARE: f32 = 0.5;
 /// Least number of pairs.
-const LEAST: u16 = 4;
+const LEAST_PAIRS: u16 = 4;
 /// Least mean square of brightness changes per pixel, in the direction with the smallest (0 to 255).
 const LEAST_TEXTURE: f32 = 2.0;
 /// Standard deviation of the noise of brightness (0 to 255).
@@ -59,8 +59,9 @@ impl Patches {
     }
 }
 
-/// Returns the pixels, at the size of the pictures, whose pattern stays in place while the scene moves there. Patches with pixels
-/// that measure the scene show the scene; only beside others are they believed.
+/// Returns the pixels, at the size of the pictures, whose pattern stays in place while the scene moves there; `None` without pictures
+/// or when cancelled. A patch that holds pixels of `scene` may stay for these: its pixel counts only within a patch of one whose patch
+/// holds none.
 pub(crate) fn patterns_in_place(
     pictures: &[Picture<'_>],
     scene: &Image<bool>,
@@ -85,7 +86,11 @@ pub(crate) fn patterns_in_place(
             a.iter_mut().zip(b).for_each(|(a, b)| *a = (a.0 + b.0, a.1 + b.1));
             a
         });
-    let stays = |(alike, all): (u16, u16)| all >= LEAST && f32::from(alike) >= MOST * f32::from(all);
+    if cancel.is_cancelled() {
+        return None;
+    }
+    let stays =
+        |(alike, all): (u16, u16)| all >= LEAST_PAIRS && f32::from(alike) >= LEAST_SHARE * f32::from(all);
     let stays = Image::from_vec(size.0, size.1, counts.into_iter().map(stays).collect());
     let mut shows_scene = Image::filled(size.0, size.1, false);
     for i in (0..scene.data.len()).filter(|&i| scene.data[i]) {
@@ -146,7 +151,8 @@ fn moved(a: &Picture<'_>, b: &Picture<'_>, shrink: usize, (width, height): (usiz
         // Its places for all depths lie on a line.
         match (at(from.nearest_m), at(FAR_M)) {
             (Some(near), Some(far)) => distance_to_segment(pixel, near, far) >= least,
-            _ => true,
+            // Part of the ray is behind the other camera; the rest may cross the pixel.
+            _ => false,
         }
     };
     let has_moved = |i: usize| {

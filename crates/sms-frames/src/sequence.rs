@@ -16,7 +16,7 @@ pub struct Frame {
     pub time_s: Option<f64>,
     /// Intrinsics and pose in the world `W`.
     pub camera: Camera,
-    /// Colour, at the exposure that all frames have in common.
+    /// Colour; of frames that were loaded together, at the exposure that they have in common.
     pub color: ColorImage,
     /// Colour as recorded over `color`, per channel: the frame's own exposure. 1 if all frames have the same.
     pub gain: [f32; 3],

@@ -13,7 +13,7 @@ pub enum PresetName {
     Draft,
     /// 320 px, 600 steps: objects and planning (default).
     Standard,
-    /// 640 px, 2000 steps: thin parts and sharp views; thirteen times the steps × pixels of standard.
+    /// 640 px, at most 2000 steps: thin parts and sharp views; four times the pixels of standard, and up to thirteen times the steps × pixels.
     Fine,
 }
 

@@ -22,8 +22,10 @@ pub(crate) struct SchedulePosition {
     /// Whether this slot's Gaussians have been seeded.
     pub(crate) seeded: bool,
     /// Step of this slot from which on learning rates fall, once it is known.
+    #[serde(default)]
     pub(crate) fall: Option<usize>,
-    /// Errors of the frames that are left out until then.
+    /// Errors of the frames that are not trained on until then.
+    #[serde(default)]
     pub(crate) validation_errors: Vec<f32>,
     /// Whether this slot's pruning midway has been done.
     pub(crate) pruned_midway: bool,

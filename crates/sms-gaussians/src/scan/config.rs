@@ -111,7 +111,8 @@ impl Default for SeedingConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PruningConfig {
-    /// Gaussians below this opacity are removed halfway through a frame and at its end.
+    /// Gaussians below this opacity are removed halfway through a frame and at its end; with the schedule `fused`, as rates begin to fall and at
+    /// the end.
     pub opacity_below: f32,
     /// Whether to remove Gaussians in front of the measured depth by more than the seeding tolerance (schedule `sequential`;
     /// the fused surface has none).
@@ -160,7 +161,7 @@ pub enum ScanOrder {
 pub struct FusedConfig {
     /// Greatest number of steps over all frames.
     pub steps: usize,
-    /// Rates fall as soon as the errors of a few frames that are left out until then have not fallen by this share for 200 steps;
+    /// Rates fall as soon as the errors of a few frames that are not trained on until then have not fallen by this share for 200 steps;
     /// 0 to take all steps.
     pub min_gain: f32,
     /// Learning rates of the first step.
@@ -198,7 +199,8 @@ pub struct ScanConfig {
     pub steps_frame: usize,
     /// Largest number of steps over all frames together at the end of the schedule `sequential`.
     pub final_steps: usize,
-    /// Share to which learning rates fall exponentially over the steps on all frames together.
+    /// Share to which learning rates fall exponentially over the steps on all frames together; with the schedule `fused`, over the last
+    /// third of them.
     pub final_decay: f32,
     /// Steps between checks of the clock, the losses and cancellation.
     pub batch_steps: usize,
@@ -281,8 +283,8 @@ impl ScanConfig {
                 max_gaussians: 200_000,
                 ..standard
             }
-            // A real recording gains 2.2 dB from 600 to 2000 steps; generated scenes stall before. Gaussians slide as far as in 600: what
-            // slides on a curved surface leaves it. Twice the rate of scales gains 0.6 dB on the recording (experiments/studies/scan/fused.md).
+            // A real recording gains 2.2 dB from 600 to 2000 steps; generated scenes stall before. What slides on a curved surface leaves it:
+            // positions are slower. Twice the rate of scales gains 0.6 dB on the recording (experiments/studies/scan/fused.md).
             .with_fused(2000, LearningRates { position: 1e-5, log_scale: 2e-2, ..standard.fused.rates }),
         }
     }

@@ -8,7 +8,7 @@ use sms_core::{LabelMap, QuantileRule, quantile};
 use sms_frames::Frame;
 
 /// Smallest accumulated opacity of a pixel covered by Gaussians.
-const COVERED: f32 = 0.5;
+pub(super) const COVERED: f32 = 0.5;
 
 /// Agreement of one rendered view with its frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -21,7 +21,8 @@ pub struct ViewScore {
     pub psnr_db: f64,
     /// PSNR over pixels with measured depth: Gaussians are seeded only at these pixels.
     pub psnr_measured_db: f64,
-    /// PSNR over all pixels that show the scene against the photograph at its own exposure, which the rendered view does not know.
+    /// PSNR over all pixels that show the scene against the photograph at its own exposure, which the rendered view does not know
+    /// (apart from colours that were cut off at the common exposure).
     pub psnr_recorded_db: f64,
     /// Mean absolute depth error over pixels with measured depth that are covered by Gaussians, metres.
     pub depth_mae_m: f64,
@@ -39,7 +40,7 @@ pub(crate) fn score_view(frame: &Frame, maps: &RenderedMaps, held_out: bool) -> 
         .zip(&frame.color.data)
         .map(|(shown, observed)| {
             let square = |c: usize, gain: f32| {
-                let recorded = f64::from(observed[c]) / 255.0 * f64::from(gain);
+                let recorded = (f64::from(observed[c]) / 255.0 * f64::from(gain)).min(1.0);
                 (f64::from(shown[c].clamp(0.0, 1.0)) - recorded).powi(2)
             };
             [(0..3).map(|c| square(c, 1.0)).sum(), (0..3).map(|c| square(c, frame.gain[c])).sum()]

@@ -9,6 +9,8 @@ const HORIZON: f64 = 100.0;
 pub(crate) struct Pace {
     /// Most steps of each slot.
     limits: Vec<usize>,
+    /// A slot and its number of steps, if it ends before its limit.
+    end: Option<(usize, usize)>,
     /// Steps taken by finished slots, and their limits.
     used: usize,
     allowed: usize,
@@ -26,6 +28,7 @@ impl Pace {
     pub(crate) fn new(limits: Vec<usize>, measured: usize) -> Self {
         Self {
             limits,
+            end: None,
             used: 0,
             allowed: 0,
             seconds_per_step: None,
@@ -43,7 +46,18 @@ impl Pace {
     /// Units done at `step` of `slot`: the unused steps of a slot count as done.
     pub(crate) fn done(&self, slot: usize, step: usize) -> u64 {
         let before: usize = self.limits.iter().take(slot).sum();
-        (before + step.min(self.limits.get(slot).copied().unwrap_or(0))) as u64
+        let limit = self.limit(slot);
+        (before + (step * limit / self.steps(slot).max(1)).min(limit)) as u64
+    }
+
+    /// Records the number of steps of a slot, once it is known.
+    pub(crate) fn ends(&mut self, slot: usize, steps: usize) {
+        self.end = Some((slot, steps));
+    }
+
+    /// Number of steps of a slot, as far as it is known.
+    pub(crate) fn steps(&self, slot: usize) -> usize {
+        self.end.filter(|end| end.0 == slot).map_or(self.limit(slot), |end| end.1)
     }
 
     /// Most steps of a slot.
@@ -86,7 +100,8 @@ impl Pace {
     pub(crate) fn seconds_left(&self, slot: usize, step: usize) -> Option<f64> {
         let per_step = self.seconds_per_step.filter(|_| self.measured > 1)?;
         let share = if self.allowed > 0 { self.used as f64 / self.allowed as f64 } else { 1.0 };
-        let steps = (self.units() - self.done(slot, step)) as f64 * share;
+        let later = self.limits.iter().skip(slot + 1).sum::<usize>();
+        let steps = (self.steps(slot).saturating_sub(step) + later) as f64 * share;
         let slots = self.limits.len().saturating_sub(slot + 1) as f64;
         let beside = if self.beside.1 > 0 { self.beside.0 / self.beside.1 as f64 } else { 0.0 };
         Some(steps * per_step + slots * beside + self.render.0 * self.render.1 as f64)
@@ -124,6 +139,17 @@ mod tests {
         pace.finished(1, 20, Some(2.0));
         pace.finished(2, 20, None);
         assert!((pace.seconds_left(3, 60).unwrap() - 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_known_end_shortens_the_forecast() {
+        let mut pace = Pace::new(vec![2000], 0);
+        pace.stepped(100, 1.0);
+        pace.stepped(100, 1.0);
+        assert!((pace.seconds_left(0, 500).unwrap() - 15.0).abs() < 1e-9);
+        pace.ends(0, 750);
+        assert!((pace.seconds_left(0, 500).unwrap() - 2.5).abs() < 1e-9);
+        assert_eq!((pace.done(0, 375), pace.done(0, 750), pace.steps(0)), (1000, 2000, 750));
     }
 
     #[test]

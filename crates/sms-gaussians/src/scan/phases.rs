@@ -1,21 +1,22 @@
 //! The two phases of training on all frames together with the schedule `fused`: learning rates stay constant, and fall at the end.
 //!
 //! Rates that fall from the first step on have to know the last one. Constant ones may go on for as long as they help (Hu et al. 2024,
-//! "MiniCPM", warmup-stable-decay): until the errors of a few frames that are left out so far stall. While rates fall, all frames are
-//! trained on.
+//! "MiniCPM", warmup-stable-decay): until the errors of a few frames that are not trained on so far stall. While rates fall, all frames
+//! are trained on.
 
 use super::config::FusedConfig;
+use super::evaluate::COVERED;
 use crate::{LossWeights, RenderedMaps};
 use sms_frames::{Frame, evenly_spread};
 
 /// Share of the steps in which rates fall. From the first step on, rates that fall have 1.0 dB less on a real recording and 0.2 to 0.3 dB
 /// less on a generated scene with as many steps (experiments/studies/scan/fused.md).
 const FALLING: f64 = 1.0 / 3.0;
-/// Steps between two looks at the frames that are left out.
+/// Steps between two looks at the frames that are not trained on.
 const EVERY: usize = 100;
 /// Number of looks without a gain after which rates fall: at constant rates, errors scatter from look to look.
 const PATIENCE: usize = 2;
-/// One of so many frames is left out, and no more than [`MOST_VALIDATION`].
+/// One of so many frames is not trained on while rates are constant, and no more than [`MOST_VALIDATION`].
 const VALIDATION: usize = 8;
 const MOST_VALIDATION: usize = 4;
 
@@ -33,7 +34,7 @@ impl Phases {
         Self { limit: config.steps, min_gain: config.min_gain }
     }
 
-    /// Returns the slots of the frames to leave out while rates are constant: none if these steps end before errors can stall.
+    /// Returns the slots of the frames that are not trained on while rates are constant: none if these steps end before errors can stall.
     pub(super) fn validation(&self, frames: usize) -> Vec<usize> {
         let count = (frames / VALIDATION).min(MOST_VALIDATION);
         if self.min_gain == 0.0 || self.latest_fall() < (PATIENCE + 1) * EVERY {
@@ -54,12 +55,12 @@ impl Phases {
         if validates { latest.min((step / EVERY + 1) * EVERY) } else { latest }
     }
 
-    /// Returns whether it is time to look at the frames that are left out, `looks` times so far.
-    pub(super) fn is_look(step: usize, looks: usize) -> bool {
-        step >= (looks + 1) * EVERY
+    /// Returns whether it is time to look at the frames that are not trained on, `looks` times so far.
+    pub(super) fn is_look(&self, step: usize, looks: usize) -> bool {
+        step >= (looks + 1) * EVERY && step < self.latest_fall()
     }
 
-    /// Returns whether rates fall from this step on, after these errors of the frames that are left out.
+    /// Returns whether rates fall from this step on, after these errors of the frames that are not trained on.
     pub(super) fn falls(&self, step: usize, errors: &[f32]) -> bool {
         step >= self.latest_fall() || has_stalled(errors, self.min_gain)
     }
@@ -78,7 +79,7 @@ fn has_stalled(errors: &[f32], min_gain: f32) -> bool {
     best(&errors[split..]) > (1.0 - min_gain) * best(&errors[..split])
 }
 
-/// Returns the mean errors of colour and depth of a view, with the weights of the losses.
+/// Returns the mean absolute errors of colour and depth of a view, weighted as the losses weigh theirs.
 pub(super) fn view_error(frame: &Frame, maps: &RenderedMaps, weights: &LossWeights) -> f32 {
     let (mut color, mut depth) = ((0.0f64, 0usize), (0.0f64, 0usize));
     let pixels = maps.color.iter().zip(&frame.color.data).enumerate();
@@ -86,12 +87,14 @@ pub(super) fn view_error(frame: &Frame, maps: &RenderedMaps, weights: &LossWeigh
         let difference = |c: usize| f64::from((shown[c] - f32::from(observed[c]) / 255.0).abs());
         color = (color.0 + (0..3).map(difference).sum::<f64>() / 3.0, color.1 + 1);
         let measured = frame.depth.data[i];
-        if measured > 0.0 && maps.alpha[i] > 0.0 {
+        if measured > 0.0 && maps.alpha[i] >= COVERED {
             depth = (depth.0 + f64::from((maps.depth[i] - measured).abs()), depth.1 + 1);
         }
     }
     let mean = |(sum, count): (f64, usize)| (sum / count.max(1) as f64) as f32;
-    weights.color * mean(color) + weights.depth * mean(depth)
+    let error = weights.color * mean(color) + weights.depth * mean(depth);
+    // Checkpoints hold finite numbers only.
+    if error.is_finite() { error } else { f32::MAX }
 }
 
 #[cfg(test)]
@@ -130,6 +133,7 @@ mod tests {
         let all = Phases::new(&FusedConfig { steps: 2000, min_gain: 0.0, ..FusedConfig::default() });
         assert!(all.validation(60).is_empty());
         assert_eq!((phases(2000).next_look(100, true), phases(2000).next_look(100, false)), (200, 1333));
-        assert!(!Phases::is_look(90, 0) && Phases::is_look(100, 0) && !Phases::is_look(100, 1));
+        let is_look = |step: usize, looks: usize| phases(2000).is_look(step, looks);
+        assert!(!is_look(90, 0) && is_look(100, 0) && !is_look(100, 1) && !is_look(1340, 12));
     }
 }

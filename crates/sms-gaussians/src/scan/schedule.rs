@@ -198,6 +198,7 @@ impl<'a> Schedule<'a> {
             let batches = self.place.losses.iter().filter(|l| l.frame == frame).count();
             self.pace.finished(slot, batches * self.batch(), None);
         }
+        self.pace.ends(self.place.slot, self.end());
     }
 
     fn save(&mut self) -> Result<(), ScanError> {
@@ -330,10 +331,11 @@ impl<'a> Schedule<'a> {
         }
     }
 
-    /// Lets the rates fall from this step on if it is time, or if the errors of the frames that are left out have stalled.
+    /// Lets the rates fall from this step on if it is time, or if the errors of the frames that are not trained on have stalled.
     fn look(&mut self) -> Result<(), ScanError> {
         let validation = self.phases.validation(self.trained.len());
-        if !validation.is_empty() && Phases::is_look(self.place.step, self.place.validation_errors.len()) {
+        if !validation.is_empty() && self.phases.is_look(self.place.step, self.place.validation_errors.len())
+        {
             let began = Instant::now();
             let mut sum = 0.0;
             for slot in &validation {
@@ -348,6 +350,7 @@ impl<'a> Schedule<'a> {
         }
         let falls = self.phases.falls(self.place.step, &self.place.validation_errors);
         self.place.fall = falls.then_some(self.place.step);
+        self.pace.ends(self.place.slot, self.end());
         Ok(())
     }
 

@@ -21,6 +21,7 @@ pub(crate) fn settings_hash(
     for (frame, map) in sequence.frames.iter().zip(&labels.maps) {
         hasher.text(&sms_core::hash_serializable(&frame.camera).0);
         hasher.bytes(frame.color.data.as_flattened());
+        hasher.bytes(&bytes_of(&frame.gain, f32::to_le_bytes));
         hasher.bytes(&bytes_of(&frame.depth.data, |z| z.to_le_bytes()));
         hasher.bytes(&bytes_of(frame.normal_c.data.as_flattened(), |n| n.to_le_bytes()));
         hasher.bytes(&bytes_of(&map.data, |l| l.to_le_bytes()));

@@ -43,7 +43,7 @@ fn run(
 ) -> Result<ScanResult, ScanError> {
     let cancel = Cancel::new();
     let inner = CpuTrainer::new(&config.train, labels.class_count(), SEED);
-    let mut trainer = Disturbed { inner, disturb, calls: 0, cancel: cancel.clone() };
+    let mut trainer = Disturbed { disturb, ..Disturbed::new(inner, &cancel) };
     scan(
         sequence,
         labels,
@@ -69,11 +69,22 @@ struct Disturbed {
     disturb: Option<Disturbance>,
     calls: usize,
     cancel: Cancel,
+    /// Current rate of colours.
+    rate: f32,
+    /// The rate and the frames of every batch.
+    batches: Vec<(f32, Vec<FrameId>)>,
+}
+
+impl Disturbed {
+    fn new(inner: CpuTrainer, cancel: &Cancel) -> Self {
+        Self { inner, disturb: None, calls: 0, cancel: cancel.clone(), rate: 0.0, batches: Vec::new() }
+    }
 }
 
 impl Trainer for Disturbed {
     fn steps(&mut self, frames: &[FrameId]) -> StepStats {
         self.calls += 1;
+        self.batches.push((self.rate, frames.to_vec()));
         match self.disturb {
             Some(Disturbance::Cancel(at)) if at == self.calls => self.cancel.cancel(),
             Some(Disturbance::Kill(at)) if at == self.calls => std::panic::resume_unwind(Box::new("killed")),
@@ -97,6 +108,7 @@ impl Trainer for Disturbed {
         self.inner.render(camera)
     }
     fn set_rates(&mut self, rates: &crate::LearningRates) {
+        self.rate = rates.color;
         self.inner.set_rates(rates);
     }
     fn set_background(&mut self, rgb: [f32; 3]) {
@@ -177,6 +189,32 @@ fn a_fused_scan_ends_when_errors_stall_and_is_resumed_alike() {
     }
     run(&recording, &config, dir.path(), None, &Warnings::new()).unwrap();
     assert_eq!(bytes(dir.path()), bytes(undisturbed.path()));
+}
+
+#[test]
+fn a_frame_is_not_trained_on_until_rates_fall() {
+    let mut config = ScanConfig { schedule: ScanOrder::Fused, holdout: 0, ..quick() };
+    (config.fused.steps, config.fused.min_gain) = (900, 0.9);
+    let (sequence, labels) = record(Recorded { frames: 10, width: 64, height: 40, ..SMALL });
+    let (cancel, warnings, dir) = (Cancel::new(), Warnings::new(), tempfile::tempdir().unwrap());
+    let inner = CpuTrainer::new(&config.train, labels.class_count(), SEED);
+    let mut trainer = Disturbed::new(inner, &cancel);
+    let context = StageContext::quiet(&cancel, &warnings).with_seed(SEED);
+    scan(&sequence, &labels, &config, dir.path(), &mut trainer, &mut (), context).unwrap();
+    // Batches of ten steps.
+    let (constant, falling) = trainer.batches.split_at(30);
+    let seen = |batches: &[(f32, Vec<FrameId>)]| {
+        let mut frames: Vec<FrameId> = batches.iter().flat_map(|batch| batch.1.clone()).collect();
+        frames.sort_unstable();
+        frames.dedup();
+        frames.len()
+    };
+    assert_eq!((seen(constant), seen(falling)), (9, 10));
+    let first = config.fused.rates.color;
+    assert!(constant.iter().all(|batch| batch.0 == first));
+    assert!(falling.windows(2).all(|pair| pair[1].0 < pair[0].0));
+    let last = falling[falling.len() - 1].0 / first;
+    assert!(falling.len() == 15 && last > config.final_decay && last < 1.5 * config.final_decay, "{last}");
 }
 
 fn stop_kill_and_resume(config: &ScanConfig) {

@@ -36,7 +36,7 @@ impl Schedule<'_> {
     pub(super) fn report_batch(&mut self) {
         let (slot, frames, step) = (self.place.slot, self.trained.len(), self.place.step);
         let Some(&sample) = self.place.losses.last() else { return };
-        let steps = self.pace.limit(slot);
+        let steps = self.pace.steps(slot);
         let seconds_left = self.pace.seconds_left(slot, step);
         self.observer.batch(&BatchDone { sample, slot, frames, step, steps, seconds_left });
 
