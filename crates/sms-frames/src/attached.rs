@@ -20,10 +20,8 @@ const LEAST: usize = 4;
 const LEAST_MEASURED: f64 = 0.3;
 /// Least share of a pixel's measurements that have its usual depth.
 const LEAST_ALIKE: f64 = 0.6;
-/// Depths of one surface differ by at most this share, or by [`SIGMAS`] of noise: poses have errors, too.
+/// Depths of one surface differ by at most this share, or by their noise.
 const ALIKE: f64 = 0.03;
-/// Standard deviations between depths of one surface.
-const SIGMAS: f64 = 3.0;
 /// Least distance in the image between a pixel and its point in another frame, pixels: silhouettes flicker by less.
 const LEAST_MOVED: f64 = 5.0;
 /// Largest share of these pairs, without those that both would explain, in which the second frame confirms a point of the scene. On
@@ -61,7 +59,7 @@ impl<'a> From<&'a Frame> for DepthView<'a> {
 
 impl DepthView<'_> {
     fn tolerance_m(&self, z: f64) -> f64 {
-        (SIGMAS * self.noise.sigma_m(z)).max(ALIKE * z)
+        self.noise.tolerance_m(z, ALIKE)
     }
 }
 
@@ -116,18 +114,23 @@ pub(crate) fn attached(views: &[DepthView<'_>], cancel: &Cancel) -> Option<Attac
         let is_measured = |n: usize| n as f64 >= LEAST_MEASURED * views.len() as f64;
         let scene = measured.data.iter().zip(&pixels.data).map(|(&n, own)| is_measured(n) && !own).collect();
         let scene = Image::from_vec(size.0, size.1, scene);
-        let mut all = patterns_in_place(&pictures, &scene, cancel)?;
-        for (i, own) in all.data.iter_mut().enumerate() {
+        let mut found = patterns_in_place(&pictures, &scene, cancel)?;
+        for (i, own) in found.data.iter_mut().enumerate() {
             *own = pixels.data[i] || (*own && !is_measured(measured.data[i]));
         }
-        let all = majority(&all.map(|own| Some(*own)));
+        let found = majority(&found.map(|own| Some(*own)));
         // If most of the image stays in place, the poses are at fault.
-        if all.data.iter().filter(|own| **own).count() as f64 <= MOST_ATTACHED * all.data.len() as f64 {
-            pixels.data.iter_mut().zip(all.data).for_each(|(own, more)| *own |= more);
+        if share_of(&found) <= MOST_ATTACHED {
+            pixels.data.iter_mut().zip(found.data).for_each(|(own, found)| *own |= found);
         }
     }
-    let share = pixels.data.iter().filter(|own| **own).count() as f64 / pixels.data.len() as f64;
+    let share = share_of(&pixels);
     (share > 0.0).then_some(Attached { pixels, share })
+}
+
+/// Returns the share of the pixels that are marked.
+fn share_of(pixels: &Image<bool>) -> f64 {
+    pixels.data.iter().filter(|own| **own).count() as f64 / pixels.data.len().max(1) as f64
 }
 
 /// Returns the pixels in whose window most of the pixels that are known are attached.

@@ -6,9 +6,9 @@ use crate::{ReadOptions, Recording, Sequence};
 use rayon::prelude::*;
 use sms_core::{Cancel, ColorImage, CoreError, read_color};
 
-/// Reads the recorded colour image of every frame, undistorted, at the exposure that the frames have in common, with its long side at most `long_side` pixels; its camera is
-/// the frame's with `intrinsics.scaled_to` its size. `None` if the recording or the image is gone; callers then use the
-/// sequence's own colour.
+/// Reads the recorded colour image of every frame, undistorted, at the exposure that the frames have in common, with its long
+/// side at most `long_side` pixels; its camera is the frame's with `intrinsics.scaled_to` its size. `None` if the recording or
+/// the image is gone; callers then use the sequence's own colour.
 ///
 /// # Errors
 /// [`CoreError::Interrupted`] when cancelled.

@@ -15,10 +15,8 @@ const STRIDE: usize = 4;
 const LEAST_SHARED: usize = 100;
 /// Stored colours that are neither lost in noise nor cut off.
 const RANGE: RangeInclusive<u8> = 16..=239;
-/// Depths of one surface differ by at most this share, or by [`SIGMAS`] of noise: poses have errors, too.
+/// Depths of one surface differ by at most this share, or by their noise.
 const ALIKE: f64 = 0.01;
-/// Standard deviations between depths of one surface.
-const SIGMAS: f64 = 3.0;
 /// Standard deviation of the logarithm of the ratio of two colours of a point: texture and errors of poses.
 const POINT_SIGMA: f64 = 0.1;
 /// Standard deviation of the logarithm of the ratio of two frames that share many points: reflections and shadows.
@@ -165,7 +163,7 @@ fn shared_point(from: &Frame, to: &Frame, (x, y): (usize, usize)) -> Option<(usi
     let (u, v, z) = to.camera.project(from.camera.unproject_pixel(x, y, z))?;
     let pixel = to.camera.pixel_at(u, v)?;
     let seen = f64::from(to.depth[pixel]);
-    let tolerance_m = (SIGMAS * to.depth_noise.sigma_m(z)).max(ALIKE * z);
+    let tolerance_m = to.depth_noise.tolerance_m(z, ALIKE);
     (seen > 0.0 && (seen - z).abs() <= tolerance_m).then_some(pixel)
 }
 

@@ -161,6 +161,12 @@ impl DepthNoise {
     pub fn sigma_m(&self, z_m: f64) -> f64 {
         self.a_m + self.b_per_m * z_m * z_m
     }
+
+    /// Returns the greatest difference between depths of one surface at depth `z_m`, metres: three standard deviations, or `share` of
+    /// the depth, as poses have errors, too.
+    pub(crate) fn tolerance_m(&self, z_m: f64, share: f64) -> f64 {
+        (3.0 * self.sigma_m(z_m)).max(share * z_m)
+    }
 }
 
 /// Settings of loading.

@@ -90,7 +90,7 @@ impl FusedCells {
 
 /// Finds the largest planes one after the other; each leaves out the cells of the earlier ones.
 pub(crate) fn find_planes(cells: &FusedCells, noise: &DepthNoise, seed: Seed) -> Vec<SupportCandidate> {
-    let tolerance = (3.0 * noise.sigma_m(cells.depth)).max(0.01 * cells.depth);
+    let tolerance = noise.tolerance_m(cells.depth, 0.01);
     let mut rng = seed.rng();
     let mut left: Vec<usize> = (0..cells.points.len()).collect();
     let least = (cells.points.len() / 100).max(20);

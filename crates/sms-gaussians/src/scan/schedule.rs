@@ -345,7 +345,9 @@ impl<'a> Schedule<'a> {
                 self.trainer.recycle(maps);
             }
             self.check_device()?;
-            self.place.validation_errors.push(sum / validation.len() as f32);
+            let error = sum / validation.len() as f32;
+            // Checkpoints hold finite numbers only.
+            self.place.validation_errors.push(if error.is_finite() { error } else { f32::MAX });
             self.stages.add("rendering", began);
         }
         let falls = self.phases.falls(self.place.step, &self.place.validation_errors);
