@@ -55,6 +55,13 @@ impl Watch {
 }
 
 impl ScanObserver for Watch {
+    fn completed(&mut self) {
+        #[cfg(feature = "rerun")]
+        if let Some(viewer) = &mut self.viewer {
+            viewer.completed();
+        }
+    }
+
     fn batch(&mut self, batch: &BatchDone) {
         #[cfg(feature = "rerun")]
         if let Some(viewer) = &mut self.viewer {

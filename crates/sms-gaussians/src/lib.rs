@@ -57,9 +57,9 @@ pub use cpu::{CpuTrainer, SimdForm, StepTimes};
 pub(crate) use model::HIDDEN_DIM;
 pub use model::{AFFINITY_DIM, Classifier, GaussianModel};
 pub use scan::{
-    BatchDone, FusedConfig, LossSample, Preset, PruningConfig, ScanConfig, ScanError, ScanObserver,
-    ScanOrder, ScanResult, ScanResumed, SeedingConfig, SlotDone, StageSeconds, StopConfig, ViewRender,
-    ViewScore, read_ply, render_views, scan, write_ply,
+    BatchDone, FusedConfig, GROWING_CLASSES, GrowingScan, LossSample, Preset, PruningConfig, ScanConfig,
+    ScanError, ScanObserver, ScanOrder, ScanResult, ScanResumed, SeedingConfig, SlotDone, StageSeconds,
+    StopConfig, ViewRender, ViewScore, read_ply, render_views, scan, write_ply,
 };
 pub use trainer::{
     FrameId, LossTerms, RenderedMaps, Seedling, StepBatch, StepStats, TrainFrame, TrainState, Trainer,

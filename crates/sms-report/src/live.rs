@@ -55,6 +55,7 @@ pub enum LiveError {
 }
 
 enum Message {
+    Completed,
     Batch(BatchDone),
     Slot(Box<FrameUpdate>),
 }
@@ -149,6 +150,10 @@ impl LiveScan {
 }
 
 impl ScanObserver for LiveScan {
+    fn completed(&mut self) {
+        self.send(Message::Completed);
+    }
+
     fn batch(&mut self, batch: &BatchDone) {
         self.send(Message::Batch(*batch));
     }
@@ -174,6 +179,11 @@ fn log_all(rec: &RecordingStream, messages: &Receiver<Message>) -> Logged {
     let mut path: Vec<[f32; 3]> = Vec::new();
     while let Ok(message) = messages.recv() {
         match message {
+            Message::Completed => {
+                // The cameras of the scan lie in another world.
+                path.clear();
+                rec.log("world/path", &rerun::Clear::flat())?;
+            }
             Message::Batch(batch) => log_batch(rec, &batch)?,
             Message::Slot(slot) => log_slot(rec, *slot, &mut path)?,
         }

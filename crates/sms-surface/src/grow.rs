@@ -17,13 +17,7 @@ const FINER: f64 = 2.0;
 ///
 /// An element covers the measured points that lie within its distance to its neighbours in its plane, and within the tolerance
 /// of its plane, if it faces the camera. Normals are not compared: those of single pixels are too noisy.
-pub(crate) fn grow(
-    surfels: &mut Vec<Surfel>,
-    frame: &Frame,
-    slot: usize,
-    config: &SurfaceConfig,
-    seed: Seed,
-) {
+pub fn grow(surfels: &mut Vec<Surfel>, frame: &Frame, slot: usize, config: &SurfaceConfig, seed: Seed) {
     let pixels = FramePoints::of(frame, config);
     let windows: Vec<Option<Window>> =
         surfels.par_iter_mut().with_min_len(256).map(|surfel| pixels.see(surfel)).collect();

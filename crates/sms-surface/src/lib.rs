@@ -9,18 +9,20 @@ mod grow;
 mod measure;
 mod nearby;
 mod point;
+mod running;
 mod surfel;
 
 #[cfg(test)]
 mod fixture;
 
 pub use config::{SurfaceConfig, SurfaceTolerance};
+pub use grow::grow;
 pub use measure::{PointVisibility, SAME_SURFACE_COSINE, WallSide, settle, standing, visibility};
 pub use nearby::map_nearby;
 pub use point::{MeasuredPoint, measured_point};
+pub use running::{RunningMean, add_measurements};
 pub use surfel::{SeedPixel, Surfel};
 
-use grow::grow;
 use measure::supported;
 use sms_core::{Cancel, CoreError, Seed};
 use sms_frames::Frame;

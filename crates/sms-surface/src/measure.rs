@@ -60,12 +60,12 @@ pub fn settle(
 
 /// Weighted sums over frames.
 #[derive(Default)]
-struct SideMeasurement {
+pub(crate) struct SideMeasurement {
     /// Sum of signed distances from the element along its normal, metres.
-    offset: f64,
-    weight: f64,
+    pub(crate) offset: f64,
+    pub(crate) weight: f64,
     /// Sum of unit normals, which face the cameras.
-    normal_w: DVec3,
+    pub(crate) normal_w: DVec3,
 }
 
 /// Moves and turns the element to the measurements.
@@ -81,7 +81,7 @@ fn adjust(surfel: &mut Surfel, sum: SideMeasurement) {
 
 /// Adds the measurements of one frame to the side of the element that faces the camera. Uses the four pixels around the
 /// projected centre, weighted bilinearly, by the cosine of the viewing angle, and by the inverse variance of the depth noise.
-fn add_frame(
+pub(crate) fn add_frame(
     sides: &mut [SideMeasurement; 2],
     frame: &Frame,
     surfel: &Surfel,

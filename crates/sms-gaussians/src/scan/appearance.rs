@@ -2,6 +2,7 @@
 
 use super::config::ScanConfig;
 use crate::harmonics::{BASIS, CONSTANT, Harmonics, basis};
+use rayon::prelude::*;
 use sms_core::{Cholesky, LabelMap};
 use sms_frames::Frame;
 use sms_surface::{Surfel, map_nearby};
@@ -144,6 +145,43 @@ impl AppearanceSum {
         };
         Appearance { color, label }
     }
+}
+
+/// Mean colour of an element over the frames so far, while frames arrive.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct MeanColor {
+    /// Colour of the pixel that added the element.
+    first: [f32; 3],
+    sum: [f64; 3],
+    weight: f64,
+}
+
+impl MeanColor {
+    /// Returns the colour of the pixel that adds an element, until a frame measures it.
+    pub(super) fn of(pixel: [u8; 3]) -> Self {
+        Self { first: pixel.map(|v| f32::from(v) / 255.0), sum: [0.0; 3], weight: 0.0 }
+    }
+
+    /// Returns the mean as an appearance without a label.
+    pub(super) fn appearance(&self) -> Appearance {
+        let mean = self.sum.map(|c| (c / self.weight) as f32);
+        Appearance { color: if self.weight > 0.0 { mean } else { self.first }, label: 0 }
+    }
+}
+
+/// Adds the measurements of a frame to the mean colours, one for each element.
+pub(super) fn add_colors(
+    surfels: &[Surfel],
+    colors: &mut [MeanColor],
+    (frame, labels): (&Frame, &LabelMap),
+    config: &ScanConfig,
+) {
+    surfels.par_iter().zip(colors).with_min_len(512).for_each(|(surfel, mean)| {
+        if let Some(sight) = Sight::of(surfel, frame, labels, config) {
+            (0..3).for_each(|c| mean.sum[c] += sight.weight * sight.color[c]);
+            mean.weight += sight.weight;
+        }
+    });
 }
 
 /// Number of unknowns: the constant colour and its harmonics.

@@ -13,6 +13,10 @@ pub trait ScanObserver {
         let _ = resumed;
     }
 
+    /// A recording that was followed is complete: what was seen so far is a map that grew ([`super::GrowingScan`]) in the recording's own
+    /// world, and the scan of all frames begins.
+    fn completed(&mut self) {}
+
     /// A batch of steps was taken.
     fn batch(&mut self, batch: &BatchDone) {
         let _ = batch;

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use sms_core::{Cancel, CoreError, LabelMap, Seed};
 use sms_frames::Frame;
 use sms_surface::Surfel;
+use std::collections::BTreeMap;
 
 /// Returns discs that draw the surface: fewer than its elements where it is flat and of one colour.
 ///
@@ -25,7 +26,7 @@ pub(crate) fn place(
 ) -> Result<Vec<Seedling>, CoreError> {
     let seen = appearances(surfels, frames, codes.len(), config);
     cancel.check()?;
-    let sparse = thin(surfels, &seen, &config.seeding, seed.derive("thinning"));
+    let sparse = thin(surfels, &seen, &BTreeMap::new(), &config.seeding, seed.derive("thinning"));
     let (surfels, seen): (Vec<_>, Vec<_>) = sparse.iter().map(|s| (surfels[s.index], seen[s.index])).unzip();
     cancel.check()?;
     let colors: Vec<DirectedColor> = if config.fused.rates.harmonics > 0.0 {
