@@ -62,28 +62,53 @@ pub(crate) fn keyframes(
 /// Returns which frames are kept.
 fn choose(samples: &[Samples], views: usize) -> Vec<bool> {
     let mut kept = vec![true; samples.len()];
-    let Some(cells) = Cells::of(samples) else { return kept };
-    let mut seen: HashMap<Side, [u16; RANGES]> = HashMap::new();
+    let mut filter = KeyframeFilter { cells: Cells::of(samples), ..KeyframeFilter::new(views) };
     for slot in spread(samples.len()) {
-        let sides = cells.sides(&samples[slot]);
-        let is_open = |(side, range): &(&Side, &usize)| {
-            let nearer = seen.get(side).into_iter().flat_map(|counts| &counts[..=**range]);
-            nearer.map(|&n| usize::from(n)).sum::<usize>() < views
-        };
-        // A frame without any measurement is kept: the loader reports or skips it.
-        kept[slot] = 2 * sides.iter().filter(is_open).count() >= sides.len();
-        if kept[slot] {
-            for (side, range) in sides {
-                let count = &mut seen.entry(side).or_insert([0; RANGES])[range];
-                *count = count.saturating_add(1);
-            }
-        }
+        kept[slot] = filter.keeps(&samples[slot]);
     }
     kept
 }
 
+/// The choice of keyframes among frames that come one after another.
+pub(crate) struct KeyframeFilter {
+    /// Greatest number of views; 0 for all.
+    views: usize,
+    /// `None` before a frame measures anything.
+    cells: Option<Cells>,
+    seen: HashMap<Side, [u16; RANGES]>,
+}
+
+impl KeyframeFilter {
+    /// Returns a choice among frames of unknown distances: those of the first frame stand for all.
+    pub(crate) fn new(views: usize) -> Self {
+        Self { views, cells: None, seen: HashMap::new() }
+    }
+
+    /// Returns whether the next frame is kept.
+    pub(crate) fn keeps(&mut self, samples: &Samples) -> bool {
+        if self.cells.is_none() {
+            self.cells = Cells::of(std::slice::from_ref(samples));
+        }
+        // A frame without any measurement is kept: the loader reports or skips it.
+        let Some(cells) = self.cells.as_ref().filter(|_| self.views > 0) else { return true };
+        let sides = cells.sides(samples);
+        let is_open = |(side, range): &(&Side, &usize)| {
+            let nearer = self.seen.get(side).into_iter().flat_map(|counts| &counts[..=**range]);
+            nearer.map(|&n| usize::from(n)).sum::<usize>() < self.views
+        };
+        let is_kept = 2 * sides.iter().filter(is_open).count() >= sides.len();
+        if is_kept {
+            for (side, range) in sides {
+                let count = &mut self.seen.entry(side).or_insert([0; RANGES])[range];
+                *count = count.saturating_add(1);
+            }
+        }
+        is_kept
+    }
+}
+
 /// The measurements of one frame that stand for all of them.
-struct Samples {
+pub(crate) struct Samples {
     /// Camera centre in the world, metres.
     center_w: DVec3,
     /// From the measured points to the camera centre, in the world, metres.
@@ -93,7 +118,11 @@ struct Samples {
 }
 
 impl Samples {
-    fn read(recording: &Recording, index: usize) -> Result<Self, FramesError> {
+    /// Returns the measurements of a recorded frame; none if its depth is damaged or empty.
+    ///
+    /// # Errors
+    /// [`FramesError`] if its file cannot be read for other reasons than its content.
+    pub(crate) fn read(recording: &Recording, index: usize) -> Result<Self, FramesError> {
         let frame = &recording.frames[index];
         let (lens, x_wc): (_, DPose3) = (&frame.depth_lens, frame.x_rc);
         let k = &lens.intrinsics;
@@ -207,6 +236,22 @@ mod tests {
             let kept = choose(&frames, 4);
             assert!(kept[13] && count(&kept) == 5, "{world} {kept:?}");
         }
+    }
+
+    #[test]
+    fn frames_that_come_one_after_another_are_kept_until_there_are_enough_views() {
+        let count_of = |views: usize| {
+            let mut filter = KeyframeFilter::new(views);
+            (0..32).filter(|_| filter.keeps(&facing(DVec3::ZERO, 1.0))).count()
+        };
+        assert_eq!((count_of(4), count_of(0)), (4, 32));
+        let mut filter = KeyframeFilter::new(1);
+        let empty = Samples { to_camera_w: Vec::new(), ..facing(DVec3::ZERO, 1.0) };
+        let keeps = |samples: &Samples| filter.keeps(samples);
+        assert_eq!(
+            [&empty, &facing(DVec3::ZERO, 1.0), &facing(DVec3::ZERO, 1.0)].map(keeps),
+            [true, true, false]
+        );
     }
 
     #[test]

@@ -177,7 +177,8 @@ impl Recording {
     }
 }
 
-fn check_options(options: &ReadOptions) -> Result<(), FramesError> {
+/// Checks the ranges of the options.
+pub(crate) fn check_options(options: &ReadOptions) -> Result<(), FramesError> {
     let bad = |what: String, cure: &str| Err(InputError::new(what, "the read options", cure).into());
     if let Some(unit) = options.depth_unit_m
         && !(unit.is_finite() && unit > 0.0)

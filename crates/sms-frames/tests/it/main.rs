@@ -3,6 +3,7 @@
 mod common;
 mod conventions;
 mod faults;
+mod following;
 mod images;
 mod real_data;
 mod tum;
