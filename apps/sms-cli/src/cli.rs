@@ -193,6 +193,12 @@ pub(crate) struct ScanArguments {
     /// Random seed.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
+    /// Wait for frames while the recording is made, until none has arrived for SECONDS (10).
+    ///
+    /// A map grows from the frames as they arrive: progress shows how well it agrees with each, and --live shows the map. The scan of the
+    /// complete recording follows and has the same result as without this option.
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "10")]
+    pub follow: Option<f64>,
     /// Show the scan in a Rerun viewer (feature `rerun`).
     ///
     /// In the viewer at ADDR (host:port or rerun+http://…), else one already open on this machine, else a new one.

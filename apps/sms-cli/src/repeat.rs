@@ -10,7 +10,7 @@ const KEPT: [&str; 4] = ["scan", "materialize", "plan", "execute"];
 /// The commands that make several stages.
 const FLOWS: [&str; 2] = ["run", "demo"];
 /// Options that do not change results, that every run records by itself, or that name its folders.
-const LEFT_OUT: [&str; 14] = [
+const LEFT_OUT: [&str; 15] = [
     "json",
     "threads",
     "force",
@@ -18,6 +18,7 @@ const LEFT_OUT: [&str; 14] = [
     "progress",
     "help",
     "live",
+    "follow",
     "out",
     "run",
     "recording",

@@ -79,7 +79,7 @@ pub(crate) struct NetsArguments {
     /// Highest overlap of two detections, 0 to 1 (default: 0.5).
     ///
     /// Of two that overlap more, the weaker one is dropped.
-    #[arg(long, value_name = "SHARE")]
+    #[arg(long, value_name = "SHARE", hide_short_help = true)]
     pub max_overlap: Option<f64>,
     /// Tracking method of SAM 2.
     ///

@@ -124,6 +124,7 @@ fn reconstruct(console: &Console, a: &DemoArguments, root: &Path, recording: &Pa
         seed: Some(a.seed),
         poses: cli::PosesArguments::default(),
         device: sms_pipeline::Device::Auto,
+        follow: None,
         live: a.live.clone(),
     };
     scan::run(console, &arguments)?;

@@ -60,6 +60,7 @@ fn stages(console: &Console, a: &RunArguments, root: &Path) -> anyhow::Result<Pa
         holdout: a.holdout,
         device: a.device,
         seed: a.seed,
+        follow: None,
         live: None,
     };
     scan::run(console, &arguments)?;

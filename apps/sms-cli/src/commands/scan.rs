@@ -5,6 +5,7 @@ use crate::live::Watch;
 use sms_cli::front::{Console, PosesName, PresetName, note};
 use sms_core::{InputError, Seed, counted, judge_depth_error, judge_psnr, length_text};
 use sms_pipeline::{Run, ScanOutcome, ScanRequest};
+use std::time::Duration;
 
 pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
     let request = ScanRequest {
@@ -16,6 +17,7 @@ pub(crate) fn run(console: &Console, a: &ScanArguments) -> anyhow::Result<()> {
         seed: a.seed.map(Seed),
         up: a.poses.up.as_deref().map(direction).transpose()?,
         accept_faults: a.poses.no_check,
+        follow: a.follow.map(patience).transpose()?,
     };
     let mut observer = Watch::start(a.live.as_deref(), &a.recording)?;
     let run = Run::new(&a.out, &console.context);
@@ -31,6 +33,16 @@ fn direction(values: &[f64]) -> Result<[f64; 3], InputError> {
     values.try_into().map_err(|_| {
         let what = format!("{values:?} is not a direction");
         InputError::new(what, "--up", "use three numbers that are not all zero, such as --up 0,0,1")
+    })
+}
+
+fn patience(seconds: f64) -> Result<Duration, InputError> {
+    Duration::try_from_secs_f64(seconds).map_err(|_| {
+        InputError::new(
+            format!("{seconds} s is not a time to wait"),
+            "--follow",
+            "give seconds, such as --follow=10",
+        )
     })
 }
 

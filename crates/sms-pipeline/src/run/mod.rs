@@ -4,6 +4,7 @@ mod ask_names;
 mod evaluate;
 mod execute;
 mod export;
+mod follow;
 mod masks;
 mod materialize;
 mod names;

@@ -1,6 +1,7 @@
 //! Recording → frames → masks → Gaussians.
 
 use super::Run;
+use super::follow::Afterwards;
 use super::poses::POSES;
 use super::settings::{RunSettings, SETTINGS, regions_hash};
 use crate::cache::{inputs_hash, run_stage};
@@ -23,6 +24,7 @@ use sms_materials::Overrides;
 use sms_poses::{PosesConfig, PosesMode};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Options of a scan that are not settings of a stage, or override these.
 #[derive(Debug, Clone, Default)]
@@ -43,10 +45,13 @@ pub struct ScanRequest {
     pub up: Option<[f64; 3]>,
     /// Whether to scan even if the check finds a fault.
     pub accept_faults: bool,
+    /// Follows the recording while its folder grows, with a map that the observer sees, until no frame has arrived for this time. The
+    /// scan is that of the complete recording.
+    pub follow: Option<Duration>,
 }
 
 impl ScanRequest {
-    fn seed(&self) -> Seed {
+    pub(super) fn seed(&self) -> Seed {
         self.seed.unwrap_or(Seed(0))
     }
 }
@@ -61,11 +66,11 @@ pub struct ScanOutcome {
 }
 
 /// Complete and valid settings of a scan.
-struct ScanSettings {
-    read: ReadOptions,
-    frames: FramesRequest,
+pub(super) struct ScanSettings {
+    pub(super) read: ReadOptions,
+    pub(super) frames: FramesRequest,
     geometry: GeometryConfig,
-    scan: ScanConfig,
+    pub(super) scan: ScanConfig,
 }
 
 impl Run<'_> {
@@ -91,6 +96,11 @@ impl Run<'_> {
     ) -> Result<ScanOutcome, Error> {
         request.device.refuse_missing()?;
         let settings = self.scan_settings(request)?;
+        let mut observer = Afterwards { inner: observer, steps: 0 };
+        if let Some(patience) = request.follow {
+            refuse_run_in_recording(&self.folder, recording)?;
+            observer.steps = self.follow(recording, patience, (request, &settings), observer.inner)?;
+        }
         let opened = Recording::open(recording, &settings.read)?;
         refuse_run_in_recording(&self.folder, &opened.root)?;
         let run = RunFolder::create(&self.folder)?;
@@ -122,7 +132,7 @@ impl Run<'_> {
         };
         self.context.message(ScanMemory::of(&sequence).text());
         let labels = self.masks_stage(&work, &opened)?;
-        self.gaussians_stage(&work, &labels, recorded, observer)?;
+        self.gaussians_stage(&work, &labels, recorded, &mut observer)?;
         self.tell_stale(&run);
         let gaussians = run.root().join("gaussians").join("scene.ply");
         Ok(ScanOutcome { objects: labels.objects.len(), gaussians })
