@@ -28,6 +28,7 @@ mod engines;
 mod error;
 mod export;
 mod furniture;
+mod growing;
 mod landing;
 mod masks;
 mod material_prior;

@@ -28,6 +28,8 @@ pub struct BenchOptions {
     pub poses: PosesConfig,
     /// The scan.
     pub scan: ScanConfig,
+    /// Whether a map that grows frame by frame ([`sms_gaussians::GrowingScan`]) is measured, too.
+    pub follow: bool,
     /// Meshes.
     pub entities: EntitiesConfig,
     /// Recorded frames of a generated scene.
@@ -61,6 +63,7 @@ impl BenchOptions {
             true_masks: false,
             poses: PosesConfig { mode: PosesMode::Given, ..PosesConfig::default() },
             scan: ScanConfig { holdout: HOLDOUT, ..ScanConfig::preset(preset) },
+            follow: false,
             entities: EntitiesConfig::default(),
             frames: crate::scenes::FRAMES,
             path: CameraPath::default(),

@@ -1,6 +1,7 @@
 //! One scene: prepared, scanned, measured.
 
 use crate::align::{pose_difference, refine_on_surfaces};
+use crate::growing::growing_metrics;
 use crate::options::BenchOptions;
 use crate::panels::write_panel;
 use crate::prepare::{Prepared, prepare};
@@ -18,12 +19,12 @@ use sms_core::process;
 use sms_core::{CoreError, EntityKind, Seed, StageContext, atomic};
 use sms_eval::carried;
 use sms_eval::sample_surface;
-use sms_eval::{DepthErrors, mean_iou, psnr_db};
+use sms_eval::{DepthErrors, DepthScores, mean_iou, psnr_db};
 use sms_eval::{
     DiscSampling, LabelledPoint, SceneScores, UNMATCHED, disc_points, is_near, score_cropped, score_labelled,
     stray_share,
 };
-use sms_gaussians::{CpuTrainer, GaussianModel, TrainConfig, Trainer};
+use sms_gaussians::{CpuTrainer, GROWING_CLASSES, GaussianModel, TrainConfig, Trainer};
 use sms_pipeline::stages::{self, GaussiansRequest};
 use sms_poses::align_cameras;
 use std::path::Path;
@@ -68,7 +69,7 @@ pub fn run_scene_with<T: Trainer>(
     scene: &BenchScene,
     options: &BenchOptions,
     dir: &Path,
-    make: impl FnOnce(&TrainConfig, usize, Seed) -> Result<T, BenchError>,
+    make: impl Fn(&TrainConfig, usize, Seed) -> Result<T, BenchError>,
     figures: impl FnOnce(&str, &mut T, &Prepared) -> Metrics,
     context: StageContext<'_>,
 ) -> Result<Option<Metrics>, BenchError> {
@@ -131,6 +132,16 @@ pub fn run_scene_with<T: Trainer>(
         real_metrics(&scanned, &mut trainer, context)?
     };
     metrics.merge(measured);
+    if options.follow {
+        let mut trainer = make(&options.scan.train, GROWING_CLASSES, SCAN_SEED)?;
+        metrics.merge(growing_metrics(
+            &prefix,
+            &prepared,
+            options,
+            &mut trainer,
+            context.with_seed(SCAN_SEED),
+        )?);
+    }
     metrics.merge(figures(&prefix, &mut trainer, &prepared));
     metrics.save(&dir.join("metrics.json"))?;
     Ok(Some(metrics))
@@ -162,20 +173,8 @@ fn measure(
 
     // Held-out views from the true cameras, carried into the world that the model was made in.
     let x_wt = x_tw.inverse() * prepared.x_tw();
-    let shown: Vec<ShownView> = truth
-        .held_out
-        .iter()
-        .map(|(i, _)| ShownView::of_maps(&trainer.render(&carried(&prepared.true_cameras[*i], &x_wt))))
-        .collect();
-    let mut depth = DepthErrors::default();
-    let mut psnr = Vec::new();
-    for ((i, view), shown) in truth.held_out.iter().zip(&shown) {
-        let frame = &prepared.sequence.frames[*i];
-        depth.add(&shown.depth, view, &frame.depth);
-        psnr.push(psnr_db(&shown.color, &frame.color));
-    }
-    set("holdout_psnr_db", psnr.iter().sum::<f64>() / psnr.len() as f64);
-    let depth = depth.scores();
+    let (shown, psnr_db, depth) = held_out_views(prepared, &truth, trainer, &x_wt);
+    set("holdout_psnr_db", psnr_db);
     set("holdout_depth_mae_m", depth.mae_m);
     set("holdout_depth_median_m", depth.median_m);
     set("holdout_depth_inner_mae_m", depth.inner_mae_m);
@@ -260,6 +259,24 @@ fn measure(
     }
     set("measure_seconds", timer.seconds().0);
     Ok(metrics)
+}
+
+/// Returns the held-out views from the true cameras, carried into the world of the model by `x_wt`, their mean PSNR and their depth errors.
+pub(crate) fn held_out_views(
+    prepared: &Prepared,
+    truth: &Yardstick,
+    trainer: &mut dyn Trainer,
+    x_wt: &DPose3,
+) -> (Vec<ShownView>, f64, DepthScores) {
+    let (mut shown, mut psnr, mut depth) = (Vec::new(), 0.0, DepthErrors::default());
+    for (i, view) in &truth.held_out {
+        let frame = &prepared.sequence.frames[*i];
+        let maps = ShownView::of_maps(&trainer.render(&carried(&prepared.true_cameras[*i], x_wt)));
+        depth.add(&maps.depth, view, &frame.depth);
+        psnr += psnr_db(&maps.color, &frame.color) / truth.held_out.len() as f64;
+        shown.push(maps);
+    }
+    (shown, psnr, depth.scores())
 }
 
 /// `X_TW` of the result: as recorded, or, where poses were disturbed, from true against used cameras, refined on the

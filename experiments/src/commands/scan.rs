@@ -52,6 +52,9 @@ pub(crate) struct ScanStudyArguments {
     /// Device of the scan; `auto` here means the CPU, so that figures stay comparable.
     #[arg(long, value_name = "cpu|gpu[:N]", default_value = "auto")]
     pub device: Device,
+    /// Measure a map that grows frame by frame (`sms scan --follow`), too.
+    #[arg(long)]
+    pub follow: bool,
     /// Skip meshes.
     #[arg(long)]
     pub no_meshes: bool,
@@ -245,6 +248,7 @@ fn options(console: &Console, a: &ScanStudyArguments) -> anyhow::Result<BenchOpt
         poses,
         frames: a.frames,
         disturbance,
+        follow: a.follow,
         meshes: !a.no_meshes,
         quality: !a.no_quality,
         ..base
