@@ -71,8 +71,8 @@ pub fn judge_psnr(db: f64) -> Judgement {
     let error = 100.0 * 10f64.powf(-db / 20.0);
     let why = match grade {
         Grade::Good => "as scans with exact poses have",
-        Grade::Fair => "less than scans with exact poses have; check poses, exposure and sharpness",
-        Grade::Poor => "poses, exposure or sharpness differ between the frames; surfaces may still be right",
+        Grade::Fair => "less than scans with exact poses have; check poses and sharpness",
+        Grade::Poor => "poses or sharpness differ between the frames; surfaces may still be right",
     };
     Judgement { grade, reason: format!("colour error {error:.1} %; {why}") }
 }
